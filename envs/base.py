@@ -1,0 +1,139 @@
+"""The environment contract, and episodes: time limits and automatic resets that lose nothing.
+
+An environment is a `brax.envs.base.Env`: one instance, never batched (`jax.vmap` batches it), with
+all of its state in the `State` it returns. `done` means that the task itself ended; time limits
+and resets belong to `with_episodes`.
+"""
+
+import contextlib
+import functools
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.custom_batching import custom_vmap
+
+with contextlib.redirect_stdout(sys.stderr):  # importing brax.envs prints its backends' warnings
+    from brax.envs.base import Env, State, Wrapper
+
+__all__ = ["Env", "Episodes", "State", "Wrapper", "where_ended", "with_episodes"]
+
+RESETS_PER_ROUND = (
+    1 / 16
+)  # of a batch: few enough to be cheap, enough that most steps need one round
+
+
+def where_ended(make: Callable[[Any], Any], ended: jax.Array, argument: Any, kept: Any) -> Any:
+    """`make(argument)` where `ended`, else `kept`; a batch pays for the ended instances alone.
+
+    Under `vmap`, `lax.cond` would run `make` for every instance at every step. Here the ended
+    instances are gathered, made in rounds of a sixteenth of the batch, and scattered back; a step
+    in which none ended costs nothing.
+
+    Args:
+      make: a pure function of one instance, returning a tree like `kept`.
+      ended: [] bool.
+      argument: tree of arrays, all that `make` depends on.
+      kept: tree of arrays.
+    """
+
+    @custom_vmap
+    def select(ended, argument, kept):
+        return jax.lax.cond(ended, lambda: make(argument), lambda: kept)
+
+    @select.def_vmap
+    def _(size, batched, *arguments):
+        def broadcast(x, is_batched):
+            return x if is_batched else jnp.broadcast_to(x, (size, *x.shape))
+
+        ended, argument, kept = jax.tree.map(broadcast, arguments, tuple(batched))
+        per_round = max(1, round(size * RESETS_PER_ROUND))
+
+        def one_round(carry):
+            waiting, values = carry
+            (chosen,) = jnp.nonzero(waiting, size=per_round, fill_value=size)
+            made = jax.vmap(make)(jax.tree.map(lambda x: x[chosen], argument))
+            values = jax.tree.map(lambda x, y: x.at[chosen].set(y, mode="drop"), values, made)
+            return waiting.at[chosen].set(False, mode="drop"), values
+
+        _, values = jax.lax.while_loop(lambda carry: carry[0].any(), one_round, (ended, kept))
+        return values, jax.tree.map(lambda _: True, values)
+
+    return select(ended, argument, kept)
+
+
+class Episodes(Wrapper):
+    """An environment that ends its episodes at a time limit and starts the next one by itself.
+
+    `info` tells `terminated` (the task ended), `truncated` (the time limit was reached; both may
+    hold, as in Gymnasium), `final_observation` (what `step` observed before a reset replaced it),
+    `steps` (of the present episode) and `episode` (how many ended before it). `done` is
+    either end. Each start is a fresh draw from the instance's own key and the episode's number.
+    """
+
+    def __init__(self, env: Env, time_limit: int):
+        if time_limit < 1:
+            raise ValueError(f"time_limit must be at least 1 step, got {time_limit}")
+        super().__init__(env)
+        self.time_limit = time_limit
+
+    def reset(self, rng: jax.Array) -> State:
+        start_key, key = jax.random.split(rng)
+        state = self.env.reset(start_key)
+        no, zero = jnp.zeros((), bool), jnp.zeros((), jnp.int32)
+        info = {
+            "terminated": no,
+            "truncated": no,
+            "final_observation": state.obs,
+            "steps": zero,
+            "episode": zero,
+            "key": key,
+        }
+        return state.replace(info={**state.info, **info})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        nstate = self.env.step(state, action)
+        steps = state.info["steps"] + 1
+        terminated = nstate.done > 0.5
+        truncated = steps >= self.time_limit
+        ended = terminated | truncated
+        episode = state.info["episode"] + ended
+
+        own = self._own_info(nstate.info)
+        pipeline_state, obs, fresh = where_ended(
+            functools.partial(self._start, tuple(own)),
+            ended,
+            (state.info["key"], episode),
+            (nstate.pipeline_state, nstate.obs, own),
+        )
+        info = {
+            "terminated": terminated,
+            "truncated": truncated,
+            "final_observation": nstate.obs,
+            "steps": jnp.where(ended, 0, steps),
+            "episode": episode,
+            "key": state.info["key"],
+        }
+        return nstate.replace(
+            pipeline_state=pipeline_state,
+            obs=obs,
+            done=ended.astype(nstate.done.dtype),
+            info={**nstate.info, **fresh, **info},
+        )
+
+    def _start(self, info_keys: tuple[str, ...], key_and_episode):
+        key, episode = key_and_episode
+        state = self.env.reset(jax.random.fold_in(key, episode))
+        return state.pipeline_state, state.obs, {k: state.info[k] for k in info_keys}
+
+    def _own_info(self, info: dict) -> dict:
+        """The entries that the environment itself writes: a reset renews these and no wrapper's."""
+        shapes = jax.eval_shape(self.env.reset, jax.random.key(0))
+        return {k: info[k] for k in shapes.info}
+
+
+def with_episodes(env: Env, time_limit: int) -> Episodes:
+    """`env` with a time limit in steps and automatic resets; see `Episodes`."""
+    return Episodes(env, time_limit)

@@ -1,0 +1,84 @@
+"""A MuJoCo task on a physics engine, as a `brax.envs.base.Env`."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from envs.base import Env, State
+from envs.engines.mjx import MjxEngine
+from envs.engines.native import NativeEngine
+from envs.mujoco_tasks.task import MujocoTask
+
+ENGINES = {"native": NativeEngine, "mjx": MjxEngine}
+
+
+class MujocoEnv(Env):
+    """One instance of a task. Actions are float32 in [-1, 1]^A, clipped there first.
+
+    The control is `float32(action * action_high)`, in Gymnasium's units. `done` is termination only.
+    """
+
+    def __init__(self, task: MujocoTask, engine: str):
+        self.task = task
+        self.engine = ENGINES[engine](task)
+        shapes = jax.eval_shape(self.reset, jax.random.key(0))
+        self._observation_size = shapes.obs.shape[-1]
+
+    @property
+    def observation_size(self) -> int:
+        return self._observation_size
+
+    @property
+    def action_size(self) -> int:
+        return self.task.model.nu
+
+    @property
+    def action_high(self) -> np.ndarray:
+        return self.task.action_high
+
+    @property
+    def backend(self) -> str:
+        return self.engine.name
+
+    @property
+    def dt(self) -> float:
+        return self.task.dt
+
+    def reset(self, rng: jax.Array) -> State:
+        return self._first(*self.engine.reset(rng))
+
+    def reset_to(self, qpos, qvel) -> State:
+        """Start at qpos [nq] and qvel [nv]; natively, float64 NumPy arrays keep every bit."""
+        nq, nv = self.task.model.nq, self.task.model.nv
+        if np.shape(qpos) != (nq,) or np.shape(qvel) != (nv,):
+            raise ValueError(
+                f"qpos and qvel must have shapes ({nq},) and ({nv},), "
+                f"got {np.shape(qpos)} and {np.shape(qvel)}"
+            )
+        return self._first(*self.engine.reset_to(qpos, qvel))
+
+    def step(self, state: State, action: jax.Array) -> State:
+        control = jnp.clip(action.astype(jnp.float32), -1.0, 1.0) * self.task.action_high
+        pipeline_state, outcome = self.engine.step(state.pipeline_state, control)
+        return state.replace(
+            pipeline_state=pipeline_state,
+            obs=outcome.observation,
+            reward=outcome.reward,
+            done=outcome.terminated,
+            metrics={**state.metrics, **outcome.metrics},
+        )
+
+    def mj_data(self, state: State) -> mujoco.MjData:
+        """A `mujoco.MjData` of one instance, for drawing and inspection."""
+        return self.engine.mj_data(state.pipeline_state)
+
+    def _first(self, pipeline_state, outcome) -> State:
+        return State(
+            pipeline_state,
+            outcome.observation,
+            outcome.reward,
+            outcome.terminated,
+            outcome.metrics,
+            {},
+        )

@@ -1,0 +1,106 @@
+"""What a MuJoCo task says of itself, once, for every physics engine."""
+
+import dataclasses
+import functools
+import pathlib
+from typing import Any, ClassVar
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+Array = Any
+"""A NumPy float64 array with leading batch axes (native), or a JAX array of one instance (MJX)."""
+
+ASSETS = pathlib.Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
+
+
+class Physics:
+    """The physics fields a task reads, named as in `mujoco.MjData`; leading axes are batch axes."""
+
+    def __init__(self, **fields: Array):
+        self.__dict__.update(fields)
+
+    def __getattr__(self, name: str) -> Array:
+        raise AttributeError(f"the task reads {name!r} but does not list it in `fields`")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MujocoTask:
+    """A task over an array namespace `xp` (NumPy or `jax.numpy`) and a record of physics fields.
+
+    Every method indexes from the last axis, so that the same lines serve one instance and a batch.
+    The dataclass fields of a task are the constructor arguments of its Gymnasium counterpart.
+    As in Gymnasium, fields other than qpos and qvel describe the start of the last physics substep.
+    """
+
+    gymnasium_id: ClassVar[str]
+    time_limit: ClassVar[int] = 1000
+    """Steps until Gymnasium truncates."""
+    fields: ClassVar[tuple[str, ...]] = ()
+    """What is read besides qpos and qvel. cfrc_ext costs a pass over the contacts."""
+
+    xml_file: str = ""
+    frame_skip: int = 1
+    """Physics steps per environment step."""
+
+    @functools.cached_property
+    def model(self) -> mujoco.MjModel:
+        path = pathlib.Path(self.xml_file)
+        path = path if path.is_absolute() else ASSETS / path
+        if not path.is_file():
+            raise ValueError(f"there is no model file {path}")
+        return mujoco.MjModel.from_xml_path(str(path))
+
+    @property
+    def dt(self) -> float:
+        """Seconds per environment step."""
+        return self.model.opt.timestep * self.frame_skip
+
+    @functools.cached_property
+    def action_high(self) -> np.ndarray:
+        """Upper bound of Gymnasium's action space, [A] float32; the lower one is its negative."""
+        low, high = self.model.actuator_ctrlrange.astype(np.float32).T
+        if not np.array_equal(low, -high):
+            raise ValueError(
+                f"{self.xml_file}: control ranges must be symmetric, got {low}, {high}"
+            )
+        return high
+
+    def start_offset(self, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """A draw of (qpos, qvel) minus the model's initial ones, [nq] and [nv] float32."""
+        raise NotImplementedError
+
+    def observation(self, xp, physics: Physics) -> Array:
+        """[..., D]"""
+        raise NotImplementedError
+
+    def anchor(self, xp, physics: Physics) -> Array:
+        """What the next step's reward must remember of this one, [..., K]; positions, mostly."""
+        return physics.qpos[..., :0]
+
+    def reward(self, xp, anchor: Array, physics: Physics, control: Array) -> tuple[Array, dict]:
+        """The reward [...], and the entries of Gymnasium's `info` as metrics.
+
+        Args:
+          xp: array namespace.
+          anchor: `anchor` of the previous step.
+          physics: after the step.
+          control: in Gymnasium's units, [..., A] float32.
+        """
+        raise NotImplementedError
+
+    def terminated(self, xp, physics: Physics) -> Array:
+        """Whether the task ended, [...] bool."""
+        return xp.zeros(physics.qpos.shape[:-1], bool)
+
+
+def uniform_offset(key: jax.Array, scale: float, *sizes: int) -> tuple[jax.Array, ...]:
+    """Independent uniform draws in ±scale, one vector a size."""
+    keys = jax.random.split(key, len(sizes))
+    return tuple(
+        jax.random.uniform(k, (n,), jnp.float32, -scale, scale)
+        for k, n in zip(keys, sizes, strict=True)
+    )
