@@ -16,7 +16,7 @@ ENGINES = {"native": NativeEngine, "mjx": MjxEngine}
 class MujocoEnv(Env):
     """One instance of a task. Actions are float32 in [-1, 1]^A, clipped there first.
 
-    The control is `float32(action * action_high)`, in Gymnasium's units. `done` is termination only.
+    The control is `float32(action * action_high)`, in Gymnasium's units; `done` is termination.
     """
 
     def __init__(self, task: MujocoTask, engine: str):

@@ -2,8 +2,8 @@
 
 `mujoco.batch` steps many simulations on a thread pool behind one `jax.pure_callback`. JAX computes
 in float32 and the engine in float64, so a simulation travels as the bits of its float64 numbers
-(uint32, twice as many): its `mjSTATE_INTEGRATION` row, then the task's anchor. The task's own lines run
-in NumPy float64 inside the callback and are rounded to float32 once.
+(uint32, twice as many): its `mjSTATE_INTEGRATION` row, then the task's anchor. The task's own
+lines run in NumPy float64 inside the callback and are rounded to float32 once.
 """
 
 import functools

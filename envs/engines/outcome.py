@@ -16,7 +16,7 @@ class Outcome(NamedTuple):
     metrics: dict[str, Array]  # [...] each
 
     def pack(self) -> tuple[np.ndarray, tuple[str, ...]]:
-        """One float32 array [..., D + 2 + metrics] and the metrics' names: one result to transfer."""
+        """One float32 array [..., D + 2 + metrics], a single result to transfer, and the names."""
         last = (self.reward, self.terminated, *self.metrics.values())
         packed = np.empty(
             (*self.observation.shape[:-1], self.observation.shape[-1] + len(last)), np.float32

@@ -2,10 +2,10 @@
 
 import dataclasses
 import functools
+import importlib.util
 import pathlib
 from typing import Any, ClassVar
 
-import gymnasium
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -14,7 +14,8 @@ import numpy as np
 Array = Any
 """A NumPy float64 array with leading batch axes (native), or a JAX array of one instance (MJX)."""
 
-ASSETS = pathlib.Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
+GYMNASIUM = importlib.util.find_spec("gymnasium")  # found, not imported: only its models are used
+ASSETS = pathlib.Path(GYMNASIUM.origin).parent / "envs" / "mujoco" / "assets"
 
 
 class Physics:
@@ -97,6 +98,28 @@ class MujocoTask:
         return xp.zeros(physics.qpos.shape[:-1], bool)
 
 
+def within(x: Array, bounds: tuple[float, float]) -> Array:
+    """Whether x lies strictly between two bounds."""
+    low, high = bounds
+    return (low < x) & (x < high)
+
+
+def flat(x: Array) -> Array:
+    """[..., bodies, K] as [..., bodies * K]."""
+    return x.reshape(*x.shape[:-2], -1)
+
+
+def plane_metrics(xp, position: Array, velocity: Array) -> dict[str, Array]:
+    """Gymnasium's `info` of a body that moves in the plane, from [..., 2] m and [..., 2] m/s."""
+    return {
+        "x_position": position[..., 0],
+        "y_position": position[..., 1],
+        "distance_from_origin": xp.linalg.norm(position, axis=-1),
+        "x_velocity": velocity[..., 0],
+        "y_velocity": velocity[..., 1],
+    }
+
+
 def uniform_offset(key: jax.Array, scale: float, *sizes: int) -> tuple[jax.Array, ...]:
     """Independent uniform draws in ±scale, one vector a size."""
     keys = jax.random.split(key, len(sizes))
@@ -104,3 +127,12 @@ def uniform_offset(key: jax.Array, scale: float, *sizes: int) -> tuple[jax.Array
         jax.random.uniform(k, (n,), jnp.float32, -scale, scale)
         for k, n in zip(keys, sizes, strict=True)
     )
+
+
+def uniform_and_normal_offset(
+    key: jax.Array, scale: float, nq: int, nv: int
+) -> tuple[jax.Array, jax.Array]:
+    """Positions uniform in ±scale, velocities normal with standard deviation `scale`."""
+    qpos_key, qvel_key = jax.random.split(key)
+    (qpos,) = uniform_offset(qpos_key, scale, nq)
+    return qpos, scale * jax.random.normal(qvel_key, (nv,), jnp.float32)

@@ -1,0 +1,55 @@
+"""Brax's own environments under our contract."""
+
+import contextlib
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+with contextlib.redirect_stdout(sys.stderr):  # importing brax.envs prints its backends' warnings
+    from brax import envs as brax_envs
+
+from envs.base import Env, State, Wrapper
+
+TIME_LIMIT = 1000
+"""Steps of an episode in Brax's own training runs."""
+
+
+def names() -> tuple[str, ...]:
+    """The environments in Brax's registry."""
+    return tuple(sorted(brax_envs._envs))
+
+
+def environment_class(name: str) -> type[Env]:
+    """The class of Brax's environment `name`.
+
+    Raises:
+      ValueError: if Brax has no such environment.
+    """
+    if name not in names():
+        raise ValueError(f"Brax has no environment {name!r}; it has {', '.join(names())}")
+    return brax_envs._envs[name]
+
+
+class BraxEnv(Wrapper):
+    """A Brax environment whose actions are float32 in [-1, 1]^A, clipped there first."""
+
+    def __init__(self, env: Env):
+        super().__init__(env)
+        # Brax finds its observation size by a reset, op by op; the shapes alone are free.
+        shapes = jax.eval_shape(env.reset, jax.random.key(0))
+        self._observation_size = shapes.obs.shape[-1]
+
+    @property
+    def observation_size(self) -> int:
+        return self._observation_size
+
+    @property
+    def action_high(self) -> np.ndarray:
+        return np.ones(self.action_size, np.float32)
+
+    def step(self, state: State, action: jax.Array) -> State:
+        # Brax writes its metrics into the caller's dictionary; a copy keeps `step` pure.
+        state = state.replace(metrics=dict(state.metrics), info=dict(state.info))
+        return self.env.step(state, jnp.clip(action.astype(jnp.float32), -1.0, 1.0))

@@ -1,0 +1,82 @@
+"""Pendulum: a torque-limited pendulum to be swung up and held upright; Gymnasium's, in JAX."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, UInt32
+
+from envs.base import Env, State
+
+DT, MASS, LENGTH = 0.05, 1.0, 1.0  # s, kg, m
+MAX_SPEED = 8.0  # rad/s
+MAX_TORQUE = np.float32(2.0)  # N m
+START = np.float32([np.pi, 1.0])  # rad, rad/s: angle and speed start uniform within ±START
+
+
+class Pendulum(Env):
+    """Gymnasium's Pendulum-v1.
+
+    action       [1] torque; ±1 is ±2 N m
+    observation  [3] cosine and sine of the angle (0 is upright), angular velocity (rad/s)
+    reward       -(angle² + 0.1 · velocity² + 0.001 · torque²), the angle in [-π, π)
+    start        angle uniform in ±π, velocity uniform within ±1 rad/s
+    end          never
+
+    Near the top an error grows e-fold in 0.26 s: in float32 most episodes of random actions would
+    drift by more than 1e-5. So angle and velocity are float64, as in Gymnasium, and travel as
+    their bits, [2, 2] uint32, which JAX carries whatever its default precision.
+    """
+
+    action_high = np.array([MAX_TORQUE])
+    dt = DT
+
+    def __init__(self, g: float = 10.0):  # m/s²
+        self.g = g
+
+    @property
+    def observation_size(self) -> int:
+        return 3
+
+    @property
+    def action_size(self) -> int:
+        return 1
+
+    @property
+    def backend(self) -> str:
+        return "jax"
+
+    def reset(self, rng: jax.Array) -> State:
+        return self.reset_to(*jax.random.uniform(rng, (2,), minval=-START, maxval=START))
+
+    def reset_to(self, theta, theta_dot) -> State:
+        """Start at an angle (rad) and angular velocity (rad/s); float64 keeps every bit."""
+        with jax.enable_x64(True):
+            values = jnp.stack([jnp.asarray(x, jnp.float64) for x in (theta, theta_dot)])
+            zero = jnp.zeros((), jnp.float32)
+            return State(_to_bits(values), _observation(values), zero, zero, {}, {})
+
+    def step(self, state: State, action: Float[Array, "1"]) -> State:
+        torque = (jnp.clip(action.astype(jnp.float32), -1.0, 1.0) * MAX_TORQUE)[0]
+        with jax.enable_x64(True):
+            theta, theta_dot = jax.lax.bitcast_convert_type(state.pipeline_state, jnp.float64)
+            angle = (theta + np.pi) % (2 * np.pi) - np.pi
+            cost = angle**2 + 0.1 * theta_dot**2 + 0.001 * torque**2
+            gravity = 3 * self.g / (2 * LENGTH) * jnp.sin(theta)
+            acceleration = gravity + 3.0 / (MASS * LENGTH**2) * torque
+            theta_dot = jnp.clip(theta_dot + acceleration * DT, -MAX_SPEED, MAX_SPEED)
+            values = jnp.stack([theta + theta_dot * DT, theta_dot])
+            return state.replace(
+                pipeline_state=_to_bits(values),
+                obs=_observation(values),
+                reward=-cost.astype(jnp.float32),
+                done=jnp.zeros((), jnp.float32),
+            )
+
+
+def _to_bits(values: Float[Array, "2"]) -> UInt32[Array, "2 2"]:
+    return jax.lax.bitcast_convert_type(values, jnp.uint32)
+
+
+def _observation(values: Float[Array, "2"]) -> Float[Array, "3"]:
+    theta, theta_dot = values
+    return jnp.stack([jnp.cos(theta), jnp.sin(theta), theta_dot]).astype(jnp.float32)
