@@ -1,24 +1,21 @@
 """MuJoCo's C engine as a pure, batched function inside jitted programs.
 
-`mujoco.batch` steps many simulations on a thread pool behind one `jax.pure_callback`. JAX computes
-in float32 and the engine in float64, so a simulation travels as the bits of its float64 numbers
+Many simulations are stepped on a thread pool behind one `jax.pure_callback`. JAX computes in
+float32 and the engine in float64, so a simulation travels as the bits of its float64 numbers
 (uint32, twice as many): its `mjSTATE_INTEGRATION` row, then the task's anchor. The task's own
 lines run in NumPy float64 inside the callback and are rounded to float32 once.
 """
 
-import functools
-import os
 import threading
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
 
 from envs.engines.outcome import Outcome
+from envs.engines.simulators import ROW, BatchSimulator, ContactForceSimulator
 from envs.mujoco_tasks.task import MujocoTask, Physics
-
-ROW = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 def _to_bits(values: np.ndarray) -> np.ndarray:
@@ -40,9 +37,11 @@ class NativeEngine:
     def __init__(self, task: MujocoTask):
         self.task = task
         self.model = task.model
-        self._row_size = mujoco.mj_stateSize(self.model, ROW)
+        simulator = ContactForceSimulator if "cfrc_ext" in task.fields else BatchSimulator
+        self._simulator = simulator(self.model, ("qpos", "qvel", *task.fields))
         self._lock = threading.Lock()
-        self._batches: dict[int, Batch] = {}
+        self._blank_row = np.zeros(mujoco.mj_stateSize(self.model, ROW))
+        mujoco.mj_getState(self.model, mujoco.MjData(self.model), self._blank_row, ROW)
         bits, packed, self._metric_names = self._start(
             np.zeros((1, self.model.nq)), np.zeros((1, self.model.nv))
         )
@@ -74,12 +73,14 @@ class NativeEngine:
 
     def step(self, bits: jax.Array, control: jax.Array) -> tuple[jax.Array, Outcome]:
         """`task.frame_skip` physics steps under `control` ([A] float32, Gymnasium's units)."""
-        return self._call(self._step, bits, control)
+        # One argument, since each costs a callback tens of microseconds.
+        packed = jnp.concatenate([bits, jax.lax.bitcast_convert_type(control, jnp.uint32)])
+        return self._call(self._step, packed)
 
     def mj_data(self, bits: jax.Array) -> mujoco.MjData:
         """The simulation of one instance, with everything derived from its state computed."""
         data = mujoco.MjData(self.model)
-        row = _to_float64(np.asarray(bits))[: self._row_size]
+        row = _to_float64(np.asarray(bits))[: self._blank_row.size]
         mujoco.mj_setState(self.model, data, row, ROW)
         mujoco.mj_forward(self.model, data)
         return data
@@ -102,75 +103,33 @@ class NativeEngine:
     # -- on the host: NumPy only, since JAX inside a callback can hang ---------------------------
 
     def _start(self, qpos: np.ndarray, qvel: np.ndarray):
-        n = len(qpos)
+        nq, nv, zero = self.model.nq, self.model.nv, np.zeros(len(qpos))
+        rows = np.tile(self._blank_row, (len(qpos), 1))
+        rows[:, 1 : 1 + nq + nv] = np.concatenate([qpos, qvel], -1)  # a row begins with the time
         with self._lock:
-            batch = self._batch(n)
-            batch.state[:] = self._blank_row
-            batch.qpos, batch.qvel = qpos, qvel
-            batch.forward()
-            # Gymnasium has no contact forces after a reset.
-            physics = self._physics(batch, contact_forces=False)
+            rows, fields = self._simulator.forward(rows)
+            physics = Physics(**fields)
             anchor = self.task.anchor(np, physics)
-            control = np.zeros((n, self.model.nu), np.float32)
+            control = np.zeros((len(qpos), self.model.nu), np.float32)
             _, metrics = self.task.reward(np, anchor, physics, control)
-            zero = np.zeros(n)
-            metrics = dict.fromkeys(metrics, zero)
-            bits = _to_bits(np.concatenate([batch.state, anchor], -1))
-            observation = self.task.observation(np, physics)
-            return bits, *Outcome(observation, zero, zero, metrics).pack()
-
-    def _step(self, bits: np.ndarray, control: np.ndarray):
-        values = _to_float64(bits)
-        rows, anchor = values[:, : self._row_size], values[:, self._row_size :]
-        with self._lock:
-            batch = self._batch(len(rows))
-            batch.state[:] = rows
-            batch.ctrl = control
-            batch.step(nstep=self.task.frame_skip)
-            physics = self._physics(batch, contact_forces=True)
-            reward, metrics = self.task.reward(np, anchor, physics, control)
-            bits = _to_bits(np.concatenate([batch.state, self.task.anchor(np, physics)], -1))
-            observation = self.task.observation(np, physics)
-            terminated = self.task.terminated(np, physics)
-            return bits, *Outcome(observation, reward, terminated, metrics).pack()
-
-    def _physics(self, batch: Batch, contact_forces: bool) -> Physics:
-        names = [name for name in self.task.fields if name != "cfrc_ext"]
-        fields = {name: getattr(batch, name) for name in ("qpos", "qvel", *names)}
-        if "cfrc_ext" in self.task.fields:
-            fields["cfrc_ext"] = np.zeros((batch.nsim, self.model.nbody, 6))
-            if contact_forces:
-                self._add_contact_forces(batch, fields["cfrc_ext"])
-        return Physics(**fields)
-
-    def _add_contact_forces(self, batch: Batch, cfrc_ext: np.ndarray) -> None:
-        """mj_step leaves cfrc_ext to be asked for, as Gymnasium does after its steps."""
-        for i in range(batch.nsim):
-            batch.get_data(i, self._scratch)
-            mujoco.mj_rnePostConstraint(self.model, self._scratch)
-            cfrc_ext[i] = self._scratch.cfrc_ext
-
-    @functools.cached_property
-    def _scratch(self) -> mujoco.MjData:
-        return mujoco.MjData(self.model)
-
-    @functools.cached_property
-    def _blank_row(self) -> np.ndarray:
-        row = np.zeros(self._row_size)
-        mujoco.mj_getState(self.model, mujoco.MjData(self.model), row, ROW)
-        return row
-
-    def _batch(self, n: int) -> Batch:
-        """One batch a size, made on first use; every call overwrites all of its state."""
-        if n not in self._batches:
-            batch = Batch(
-                self.model,
-                n,
-                nthread=min(n, len(os.sched_getaffinity(0))),
-                persistent="cfrc_ext" in self.task.fields,
+            outcome = Outcome(
+                self.task.observation(np, physics), zero, zero, dict.fromkeys(metrics, zero)
             )
-            for name in self.task.fields:
-                if name != "cfrc_ext":
-                    batch.bind(name)  # from now on every call computes it
-            self._batches[n] = batch
-        return self._batches[n]
+            return _to_bits(np.concatenate([rows, anchor], -1)), *outcome.pack()
+
+    def _step(self, packed: np.ndarray):
+        control = packed[:, -self.model.nu :].view(np.float32)
+        values = packed[:, : -self.model.nu].view(np.float64)
+        rows, anchor = values[:, : self._blank_row.size], values[:, self._blank_row.size :]
+        with self._lock:
+            rows, fields = self._simulator.step(rows, control, self.task.frame_skip)
+            physics = Physics(**fields)
+            reward, metrics = self.task.reward(np, anchor, physics, control)
+            outcome = Outcome(
+                self.task.observation(np, physics),
+                reward,
+                self.task.terminated(np, physics),
+                metrics,
+            )
+            anchor = self.task.anchor(np, physics)
+            return _to_bits(np.concatenate([rows, anchor], -1)), *outcome.pack()
