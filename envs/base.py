@@ -20,9 +20,8 @@ with contextlib.redirect_stdout(sys.stderr):  # importing brax.envs prints its b
 
 __all__ = ["Env", "Episodes", "State", "Wrapper", "where_ended", "with_episodes"]
 
-RESETS_PER_ROUND = (
-    1 / 16
-)  # of a batch: few enough to be cheap, enough that most steps need one round
+RESETS_PER_ROUND = 1 / 16
+"""Of a batch: few enough to be cheap, enough that most steps need one round."""
 
 
 def where_ended(make: Callable[[Any], Any], ended: jax.Array, argument: Any, kept: Any) -> Any:

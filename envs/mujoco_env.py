@@ -21,6 +21,7 @@ class MujocoEnv(Env):
 
     def __init__(self, task: MujocoTask, engine: str):
         self.task = task
+        self.action_high = task.action_high
         self.engine = ENGINES[engine](task)
         shapes = jax.eval_shape(self.reset, jax.random.key(0))
         self._observation_size = shapes.obs.shape[-1]
@@ -32,10 +33,6 @@ class MujocoEnv(Env):
     @property
     def action_size(self) -> int:
         return self.task.model.nu
-
-    @property
-    def action_high(self) -> np.ndarray:
-        return self.task.action_high
 
     @property
     def backend(self) -> str:
@@ -59,7 +56,7 @@ class MujocoEnv(Env):
         return self._first(*self.engine.reset_to(qpos, qvel))
 
     def step(self, state: State, action: jax.Array) -> State:
-        control = jnp.clip(action.astype(jnp.float32), -1.0, 1.0) * self.task.action_high
+        control = jnp.clip(action.astype(jnp.float32), -1.0, 1.0) * self.action_high
         pipeline_state, outcome = self.engine.step(state.pipeline_state, control)
         return state.replace(
             pipeline_state=pipeline_state,
