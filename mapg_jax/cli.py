@@ -1,0 +1,215 @@
+"""The command line: mapg train | resume | evaluate | envs."""
+
+import contextlib
+import dataclasses
+import json
+import os
+import pathlib
+import sys
+from collections.abc import Callable
+from typing import Annotated, Literal, TextIO
+
+import jax
+import rich.console
+import rich.table
+import tyro
+
+import envs
+from mapg_jax import heads
+from mapg_jax.config import PRESETS, Config
+from mapg_jax.plotting import draw_curve
+from mapg_jax.run_folder import RunFolder
+from mapg_jax.runner import DivergedError, StoppedError, resume, start
+from mapg_jax.scoring import Physics, evaluate
+
+Preset = Literal["paper", "parallel", "smoke"]
+
+
+@dataclasses.dataclass
+class Train:
+    """Train a policy.
+
+    Example: mapg train --env hopper --heads 10 --steps 2000000 --seed 0 --out runs/hopper-m10
+    """
+
+    config: tyro.conf.OmitArgPrefixes[Config]
+    preset: Preset = "paper"
+    """Where the defaults below come from: the paper's set-up, one for accelerators, or one that
+    ends in seconds."""
+    out: pathlib.Path | None = None
+    """Run folder; must not exist. By default the next free number under runs/."""
+
+    def run(self, out: TextIO) -> None:
+        run = refuse_politely(lambda: start(self.config, self.out))
+        run.go(progress=True)
+        _finish(run.folder, out)
+
+
+@dataclasses.dataclass
+class Resume:
+    """Go on with a run from its newest checkpoint, bit for bit as if it had not stopped."""
+
+    path: tyro.conf.Positional[pathlib.Path]
+    """Run folder."""
+    steps: int | None = None
+    """A new total of environment steps, to train a finished run further."""
+
+    def run(self, out: TextIO) -> None:
+        run = refuse_politely(lambda: resume(self.path, self.steps))
+        if run.finished:
+            print(
+                f"{self.path} is finished: {run.folder.config.steps:,} steps; "
+                "--steps with a larger number trains it further",
+                file=out,
+            )
+            return
+        run.go(progress=True)
+        _finish(run.folder, out)
+
+
+@dataclasses.dataclass
+class Evaluate:
+    """Score a run's newest checkpoint: E starts, one episode each."""
+
+    path: tyro.conf.Positional[pathlib.Path]
+    """Run folder."""
+    episodes: int = 100
+    """E."""
+    physics: Physics = "auto"
+    """What to run on: the run's own engine, a named one, or Gymnasium's official environment."""
+    select: heads.Select = "uniform"
+    """How one action is made of the M proposals."""
+    seed: int = 0
+    """Of starts and heads."""
+    json: bool = False
+    """Print one JSON object instead of a table."""
+
+    def run(self, out: TextIO) -> None:
+        record = refuse_politely(
+            lambda: evaluate(
+                RunFolder.open(self.path), self.episodes, self.physics, self.select, self.seed
+            )
+        )
+        if self.json:
+            print(json.dumps(record), file=out)
+        else:
+            _print_score(record, out)
+
+
+@dataclasses.dataclass
+class Envs:
+    """List the environments."""
+
+    def run(self, out: TextIO) -> None:
+        table = rich.table.Table("name", "observation", "action", "time limit", "engines", "equals")
+        for name in envs.names():
+            spec, env = envs.spec(name), envs.make(name)
+            table.add_row(
+                name,
+                str(env.observation_size),
+                str(env.action_size),
+                str(spec.time_limit),
+                ", ".join(spec.engines),
+                spec.gymnasium_id or "",
+            )
+        _console(out).print(table)
+        print("brax:NAME takes any environment of Brax.", file=out)
+
+
+def main() -> None:
+    """The command `mapg`."""
+    command = _parse(sys.argv[1:])
+    jax.config.update("jax_compilation_cache_dir", str(_cache_folder()))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    with own_stdout() as out:
+        try:
+            command.run(out)
+        except DivergedError as error:
+            sys.exit(_complain(str(error), 1))
+        except StoppedError as error:
+            sys.exit(_complain(str(error), 128 + error.number))
+
+
+def refuse_politely(function: Callable):
+    """The function's value; a refusal is one line on standard error and exit status 2."""
+    try:
+        return function()
+    except (ValueError, OSError) as error:
+        sys.exit(_complain(str(error), 2))
+
+
+@contextlib.contextmanager
+def own_stdout():
+    """Standard output for us alone: what imported libraries print goes to standard error."""
+    sys.stdout.flush()
+    ours = os.dup(1)
+    os.dup2(2, 1)
+    with os.fdopen(ours, "w") as out:
+        yield out
+
+
+def _parse(arguments: list[str]):
+    preset = PRESETS.get(_named_preset(arguments), PRESETS["paper"])
+    train = tyro.conf.subcommand("train", default=Train(preset))
+    union = (
+        Annotated[Train, train]
+        | Annotated[Resume, tyro.conf.subcommand("resume")]
+        | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+        | Annotated[Envs, tyro.conf.subcommand("envs")]
+    )
+    try:
+        return tyro.cli(
+            union, prog="mapg", description="Multiple Action Policy Gradients.", args=arguments
+        )
+    except ValueError as error:  # raised by Config
+        sys.exit(_complain(str(error), 2))
+
+
+def _named_preset(arguments: list[str]) -> str:
+    """The value of --preset: the flags' defaults depend on it."""
+    for i, argument in enumerate(arguments):
+        name, equals, value = argument.partition("=")
+        if name == "--preset":
+            return value if equals else "".join(arguments[i + 1 : i + 2])
+    return "paper"
+
+
+def _finish(folder: RunFolder, out: TextIO) -> None:
+    config = folder.config
+    title = f"{config.env}, M = {config.heads}, seed {config.seed}"
+    draw_curve(folder.metrics, folder.curve, title)
+    _print_score(evaluate(folder, config.final_episodes), out)
+    print(f"run folder:     {folder.path}", file=out)
+    print(f"learning curve: {folder.curve}", file=out)
+
+
+def _print_score(record: dict, out: TextIO) -> None:
+    table = rich.table.Table("env", "physics", "select", "episodes", "mean", "std", "95 % interval")
+    low, high = record["ci95"]
+    table.add_row(
+        record["env"],
+        record["physics"],
+        record["select"],
+        str(record["episodes"]),
+        f"{record['mean']:.1f}",
+        f"{record['std']:.1f}",
+        f"{low:.1f} to {high:.1f}",
+    )
+    _console(out).print(table)
+
+
+def _console(out: TextIO) -> rich.console.Console:
+    return rich.console.Console(file=out, width=None if out.isatty() else 100)
+
+
+def _complain(message: str, status: int) -> int:
+    print(f"mapg: {message}", file=sys.stderr)
+    return status
+
+
+def _cache_folder() -> pathlib.Path:
+    """Compiled programs, kept between commands."""
+    base = os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache"
+    return pathlib.Path(
+        os.environ.get("JAX_COMPILATION_CACHE_DIR") or pathlib.Path(base) / "mapg-jax"
+    )

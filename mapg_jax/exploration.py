@@ -1,0 +1,42 @@
+"""Noise added to the executed action, in units of [-1, 1]."""
+
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
+
+Noise = Literal["ou", "gaussian", "none"]
+
+OU_THETA = 0.15  # 1/s, pull towards 0
+OU_DT = 1e-2  # s, time per environment step
+
+
+def advance(
+    kind: Noise,
+    key: PRNGKeyArray,
+    noise: Float[Array, "N A"],
+    scale: Float[Array, "#N 1"],
+) -> Float[Array, "N A"]:
+    r"""The next noise of every environment.
+
+    `ou`: $x' = x - \theta x\,dt + \sigma \sqrt{dt}\,\varepsilon$ (Ornstein-Uhlenbeck by
+    Euler-Maruyama, as in the code the paper ran on); `gaussian`: $x' = \sigma \varepsilon$; `none`: 0.
+
+    Args:
+      kind: of noise.
+      key: for $\varepsilon$, standard normal.
+      noise: $x$.
+      scale: $\sigma$, one for all environments or one each.
+    """
+    if kind == "none":
+        return jnp.zeros_like(noise)
+    normal = jax.random.normal(key, noise.shape)
+    if kind == "gaussian":
+        return scale * normal
+    return noise - OU_THETA * OU_DT * noise + scale * jnp.sqrt(OU_DT) * normal
+
+
+def restart(noise: Float[Array, "N A"], ended: Bool[Array, "N"]) -> Float[Array, "N A"]:
+    """The process starts at 0 with every episode."""
+    return jnp.where(ended[:, None], 0.0, noise)

@@ -1,0 +1,84 @@
+"""The paper's idea: M action proposals a state, one of them drawn, only its head updated.
+
+`heads`, the number of heads in use, may be a traced value no larger than the static axis `M`; heads
+past it are padding that is never drawn, averaged or updated, so that one program serves several M.
+"""
+
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+Select = Literal["uniform", "argmax-q", "mean", "first"]
+"""How one action is made of the M proposals."""
+
+
+def in_use(heads: Int[Array, ""], size: int) -> Bool[Array, "M"]:
+    """Which of `size` heads are in use."""
+    return jnp.arange(size) < heads
+
+
+def draw(key: PRNGKeyArray, heads: Int[Array, ""], shape: tuple[int, ...]) -> Int[Array, "..."]:
+    """Heads drawn uniformly (MAPG, Algorithm 1); padding does not change the draw."""
+    return jax.random.randint(key, shape, 0, heads)
+
+
+def take(proposals: Float[Array, "*B M A"], head: Int[Array, "*B"]) -> Float[Array, "*B A"]:
+    """The proposals of the given heads; the gradient reaches those heads alone."""
+    chosen = head[..., None] == jnp.arange(proposals.shape[-2])
+    # A masked sum: the gradient of a gather would be a scatter, which XLA runs row by row on a CPU.
+    return jnp.where(chosen[..., None], proposals, 0.0).sum(-2)
+
+
+def mean(values: Float[Array, "*B M"], heads: Int[Array, ""]) -> Float[Array, "*B"]:
+    r"""$\frac{1}{M} \sum_m v_m$ over the heads in use (MAPG, Eq. 6)."""
+    mask = in_use(heads, values.shape[-1])
+    return jnp.where(mask, values, 0.0).sum(-1) / heads
+
+
+def spread(proposals: Float[Array, "*B M A"], heads: Int[Array, ""]) -> Float[Array, "*B"]:
+    r"""Standard deviation over the heads, averaged over the action's dimensions.
+
+    $\frac{1}{A} \sum_a \sqrt{\frac{1}{M} \sum_m (\rho_{ma} - \bar\rho_a)^2}$, in units of [-1, 1].
+    """
+    per_dimension = jnp.swapaxes(proposals, -1, -2)
+    centre = mean(per_dimension, heads)
+    variance = mean(jnp.square(per_dimension - centre[..., None]), heads)
+    return jnp.sqrt(variance).mean(-1)
+
+
+def q_gap(values: Float[Array, "*B M"], heads: Int[Array, ""]) -> Float[Array, "*B"]:
+    r"""$\max_m Q_m - \min_m Q_m$: 0 in an optimal policy (MAPG, section 3.2)."""
+    mask = in_use(heads, values.shape[-1])
+    highest = jnp.where(mask, values, -jnp.inf).max(-1)
+    return highest - jnp.where(mask, values, jnp.inf).min(-1)
+
+
+def choose(
+    select: Select,
+    key: PRNGKeyArray,
+    proposals: Float[Array, "*B M A"],
+    values: Float[Array, "*B M"],
+    heads: Int[Array, ""],
+) -> Float[Array, "*B A"]:
+    """One action a state.
+
+    Args:
+      select: `uniform` draws a head, as the paper does in training and in evaluation; `argmax-q`
+        takes the proposal the critic values most; `mean` averages the proposals; `first` takes
+        head 0.
+      key: used by `uniform` alone.
+      proposals: of the actor.
+      values: the critic's, used by `argmax-q` alone.
+      heads: M.
+    """
+    batch = values.shape[:-1]
+    if select == "uniform":
+        return take(proposals, draw(key, heads, batch))
+    if select == "argmax-q":
+        mask = in_use(heads, values.shape[-1])
+        return take(proposals, jnp.where(mask, values, -jnp.inf).argmax(-1))
+    if select == "mean":
+        return mean(jnp.swapaxes(proposals, -1, -2), heads)
+    return take(proposals, jnp.zeros(batch, jnp.int32))

@@ -1,0 +1,93 @@
+"""A trained policy, callable with one observation or many."""
+
+import os
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mapg_jax import heads
+from mapg_jax.agent import Agent, AgentState, make_agent
+from mapg_jax.checkpointing import Checkpoints
+from mapg_jax.run_folder import RunFolder
+from mapg_jax.training import agent_shapes
+
+
+class Policy:
+    """Draws one of the M proposed actions, as the paper does in evaluation too.
+
+    Actions are float32 NumPy arrays in Gymnasium's units. An observation is [D] or [N, D].
+    """
+
+    def __init__(
+        self,
+        agent: Agent,
+        state: AgentState,
+        action_high: np.ndarray,
+        seed: int = 0,
+        select: heads.Select = "uniform",
+    ):
+        self.agent, self.state, self.action_high = agent, state, action_high
+        self._key = jax.random.key(seed)
+        self._calls = 0
+        self._observation_size = state.normalizer.mean.shape[-1]
+
+        @jax.jit
+        def act(state, observation, key):
+            proposals, values = agent.proposals_and_values(state, observation)
+            return heads.choose(select, key, proposals, values, state.hyper.heads) * action_high
+
+        self._act = act
+        self._proposals = jax.jit(lambda state, obs: agent.proposals(state, obs) * action_high)
+
+    def __call__(self, observation: Any, seed: int | None = None) -> np.ndarray:
+        """An action a state, [A] or [N, A].
+
+        Args:
+          observation: [D] or [N, D].
+          seed: makes the draw repeatable; without it the policy's own stream goes on.
+
+        Raises:
+          ValueError: if the last axis is not D.
+        """
+        if seed is None:
+            key = jax.random.fold_in(self._key, self._calls)
+            self._calls += 1
+        else:
+            key = jax.random.key(seed)
+        return np.asarray(self._act(self.state, self._checked(observation), key))
+
+    def proposals(self, observation: Any) -> np.ndarray:
+        """All M actions, [M, A] or [N, M, A]."""
+        m = int(self.state.hyper.heads)
+        return np.asarray(self._proposals(self.state, self._checked(observation)))[..., :m, :]
+
+    def _checked(self, observation: Any) -> jax.Array:
+        observation = jnp.asarray(observation, jnp.float32)
+        size = self._observation_size
+        if observation.ndim not in (1, 2) or observation.shape[-1] != size:
+            raise ValueError(
+                f"an observation must be [{size}] or [N, {size}], got {list(observation.shape)}"
+            )
+        return observation
+
+
+def load_policy(path: str | os.PathLike, seed: int = 0, select: heads.Select = "uniform") -> Policy:
+    """The policy of a run folder's newest checkpoint.
+
+    Args:
+      path: the run folder.
+      seed: of the policy's own random stream.
+      select: how one action is made of the M proposals: uniform, argmax-q, mean or first.
+
+    Raises:
+      ValueError: if the folder holds no run, or no complete checkpoint.
+    """
+    folder = RunFolder.open(path)
+    config = folder.config
+    env = config.make_env()
+    agent = make_agent(config, env.action_size)
+    shapes = agent_shapes(config, agent, env.observation_size)
+    state = Checkpoints(folder.checkpoints).load_agent(shapes)
+    return Policy(agent, state, env.action_high, seed, select)

@@ -1,0 +1,62 @@
+"""A ring buffer of transitions, as data and functions."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import PRNGKeyArray
+
+Items = Any
+"""A tree of arrays with equal leading axes."""
+
+
+@struct.dataclass
+class ReplayState:
+    """The slots and where the next item goes."""
+
+    data: Items  # leaves [C, ...]
+    position: jax.Array  # [] i32, the slot written next
+    size: jax.Array  # [] i32, slots filled
+
+
+def capacity(state: ReplayState) -> int:
+    """C, the number of slots."""
+    return jax.tree.leaves(state.data)[0].shape[0]
+
+
+def init(item: Items, slots: int) -> ReplayState:
+    """An empty ring for `slots` items shaped like `item`."""
+    data = jax.tree.map(lambda x: jnp.zeros((slots, *jnp.shape(x)), jnp.result_type(x)), item)
+    return ReplayState(data, jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32))
+
+
+def add(state: ReplayState, items: Items) -> ReplayState:
+    """The ring with N items added in order, each over the oldest one once it is full.
+
+    Args:
+      state: the ring.
+      items: leaves [N, ...], N at most the number of slots.
+    """
+    slots = capacity(state)
+    n = jax.tree.leaves(items)[0].shape[0]
+    if n > slots:
+        raise ValueError(f"{n} items do not fit {slots} slots")
+    index = (state.position + jnp.arange(n)) % slots
+    data = jax.tree.map(
+        lambda x, new: x.at[index].set(new.astype(x.dtype), unique_indices=True), state.data, items
+    )
+    return ReplayState(data, (state.position + n) % slots, jnp.minimum(state.size + n, slots))
+
+
+def sample(state: ReplayState, key: PRNGKeyArray, n: int) -> Items:
+    """`n` items drawn uniformly with replacement; at least one slot must be filled."""
+    index = jax.random.randint(key, (n,), 0, state.size)
+    return jax.tree.map(lambda x: x[index], state.data)
+
+
+def trim(state: ReplayState) -> ReplayState:
+    """The ring without its empty slots, on the host."""
+    size = int(state.size)
+    return state.replace(data=jax.tree.map(lambda x: np.asarray(x)[:size], state.data))

@@ -1,0 +1,125 @@
+"""The folder of a run: data only, nothing in it is executed or unpickled when it is read."""
+
+import dataclasses
+import importlib.metadata
+import json
+import os
+import pathlib
+import platform
+import shlex
+import sys
+import typing
+from typing import Any
+
+from mapg_jax.config import Config
+
+PACKAGES = ("mapg-jax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "brax", "mujoco",
+            "mujoco-mjx", "gymnasium", "numpy")  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class RunFolder:
+    """Where a run keeps its configuration, metrics, checkpoints and evaluation."""
+
+    path: pathlib.Path
+    config: Config
+
+    @property
+    def metrics(self) -> pathlib.Path:
+        return self.path / "metrics.csv"
+
+    @property
+    def checkpoints(self) -> pathlib.Path:
+        return self.path / "checkpoints"
+
+    @property
+    def evaluation(self) -> pathlib.Path:
+        return self.path / "evaluation.json"
+
+    @property
+    def curve(self) -> pathlib.Path:
+        return self.path / "curve.png"
+
+    @classmethod
+    def create(cls, path: str | os.PathLike | None, config: Config) -> "RunFolder":
+        """A new folder with the configuration in it.
+
+        Args:
+          path: must not exist; None takes the next free number under `runs/`.
+          config: of the run.
+
+        Raises:
+          ValueError: if the folder exists or cannot be created.
+        """
+        path = _next_free(config) if path is None else pathlib.Path(path)
+        try:
+            path.mkdir(parents=True)
+        except FileExistsError:
+            raise ValueError(
+                f"{path} exists already; choose another --out, or go on with: mapg resume {path}"
+            ) from None
+        except OSError as error:
+            raise ValueError(f"{path} cannot be created: {error.strerror}") from None
+        folder = cls(path, config)
+        folder.write_config()
+        return folder
+
+    @classmethod
+    def open(cls, path: str | os.PathLike) -> "RunFolder":
+        """The folder of an earlier run.
+
+        Raises:
+          ValueError: if there is no run, or its configuration cannot be read.
+        """
+        path = pathlib.Path(path)
+        file = path / "config.json"
+        if not path.is_dir():
+            raise ValueError(f"there is no run folder {path}")
+        if not file.is_file():
+            raise ValueError(f"{path} is not a run folder: it has no config.json")
+        try:
+            config = _parse_config(json.loads(file.read_text())["config"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{file} is damaged: {error}") from None
+        return cls(path, config)
+
+    def write_config(self) -> None:
+        """Everything needed to run it again."""
+        record = {
+            "config": dataclasses.asdict(self.config),
+            "command": shlex.join(["mapg", *sys.argv[1:]]),
+            "python": platform.python_version(),
+            "packages": {name: _version(name) for name in PACKAGES},
+        }
+        write_json(self.path / "config.json", record)
+
+
+def write_json(path: pathlib.Path, record: dict[str, Any]) -> None:
+    """Writes the whole file or leaves the old one."""
+    partial = path.with_suffix(".partial")
+    partial.write_text(json.dumps(record, indent=2) + "\n")
+    partial.replace(path)
+
+
+def _next_free(config: Config) -> pathlib.Path:
+    stem = f"{config.env.replace(':', '-')}-m{config.heads}"
+    number = 1
+    while (path := pathlib.Path("runs") / f"{stem}-{number}").exists():
+        number += 1
+    return path
+
+
+def _parse_config(values: dict[str, Any]) -> Config:
+    """JSON has no tuples; unknown or missing names are refused."""
+    hints = typing.get_type_hints(Config)
+    missing = set(hints) ^ set(values)
+    if missing:
+        raise ValueError(f"unknown or missing: {', '.join(sorted(missing))}")
+    return Config(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None

@@ -1,0 +1,101 @@
+"""A run's score: a saved policy over E episodes, on our physics or in Gymnasium itself."""
+
+import functools
+from typing import Any, Literal
+
+import gymnasium
+import jax
+import numpy as np
+
+import envs
+from mapg_jax import heads
+from mapg_jax.evaluation import play, summarize
+from mapg_jax.policy import Policy, load_policy
+from mapg_jax.run_folder import RunFolder, write_json
+
+Physics = Literal["auto", "native", "mjx", "jax", "gymnasium"]
+"""What an evaluation runs on; `auto` is the run's own engine, `gymnasium` the official environment."""
+
+
+def evaluate(
+    folder: RunFolder,
+    episodes: int = 100,
+    physics: Physics = "auto",
+    select: heads.Select = "uniform",
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Scores the newest checkpoint, and writes the result to the run's evaluation.json.
+
+    Args:
+      folder: of the run.
+      episodes: E starts, one episode each.
+      physics: what to run on.
+      select: how one action is made of the M proposals.
+      seed: of starts and heads.
+
+    Raises:
+      ValueError: if the run has no checkpoint, or the environment lacks that physics.
+    """
+    if episodes < 1:
+        raise ValueError(f"episodes must be at least 1, got {episodes}")
+    policy = load_policy(folder.path, seed, select)
+    score = _in_gymnasium if physics == "gymnasium" else _in_jax
+    physics, returns, lengths, metrics = score(folder, policy, episodes, physics, select, seed)
+    summary = summarize(returns)
+    record = {
+        "env": folder.config.env,
+        "physics": physics,
+        "select": select,
+        "episodes": summary.episodes,
+        "seed": seed,
+        "mean": summary.mean,
+        "std": summary.std,
+        "ci95": list(summary.ci95),
+        "returns": [float(x) for x in returns],
+        "lengths": [int(x) for x in lengths],
+        **metrics,
+    }
+    write_json(folder.evaluation, record)
+    return record
+
+
+def _in_jax(folder, policy: Policy, episodes, physics, select, seed):
+    env = folder.config.make_env(None if physics == "auto" else physics)
+    played = jax.jit(
+        functools.partial(
+            play,
+            env,
+            policy.agent,
+            episodes=episodes,
+            time_limit=folder.config.episode_steps(),
+            select=select,
+        )
+    )(policy.state, jax.random.key(seed))
+    statistics = {k: float(v) for k, v in played.heads._asdict().items()}
+    return env.backend, np.asarray(played.returns), np.asarray(played.lengths), statistics
+
+
+def _in_gymnasium(folder, policy: Policy, episodes, physics, select, seed):
+    config = folder.config
+    env_id = envs.spec(config.env).gymnasium_id
+    if env_id is None:
+        raise ValueError(f"{config.env} equals no Gymnasium task; choose another --physics")
+    starts = [
+        gymnasium.make(
+            env_id, max_episode_steps=config.episode_steps(), **config.parsed_env_options()
+        )
+        for _ in range(episodes)
+    ]
+    observations = np.stack([env.reset(seed=seed + i)[0] for i, env in enumerate(starts)])
+    returns, lengths = np.zeros(episodes), np.zeros(episodes, int)
+    alive = np.ones(episodes, bool)
+    while alive.any():
+        actions = policy(observations)  # of all, so that one program serves every step
+        for i in np.flatnonzero(alive):
+            observations[i], reward, terminated, truncated, _ = starts[i].step(actions[i])
+            returns[i] += reward
+            lengths[i] += 1
+            alive[i] = not (terminated or truncated)
+    for env in starts:
+        env.close()
+    return "gymnasium", returns, lengths, {}

@@ -1,0 +1,108 @@
+"""What a run tells while it goes: metrics.csv, TensorBoard and the progress line."""
+
+import csv
+import os
+import pathlib
+import sys
+from collections.abc import Mapping
+
+import rich.console
+import rich.progress
+import tensorboardX
+
+
+class MetricsFile:
+    """metrics.csv and TensorBoard, one row an evaluation.
+
+    Columns that depend on the clock, and only those, end in `seconds` or `per_second`.
+    """
+
+    def __init__(self, path: pathlib.Path):
+        self.path = path
+        self._writer = tensorboardX.SummaryWriter(str(path.parent), write_to_disk=True)
+
+    def write(self, row: Mapping[str, float]) -> None:
+        """Appends a row; the first one writes the header."""
+        new = not self.path.exists()
+        with self.path.open("a", newline="") as file:
+            writer = csv.writer(file)
+            if new:
+                writer.writerow(row)
+            writer.writerow(_text(value) for value in row.values())
+            file.flush()
+            os.fsync(file.fileno())
+        for name, value in row.items():
+            if name != "env_steps":
+                self._writer.add_scalar(name, value, int(row["env_steps"]))
+
+    def close(self) -> None:
+        self._writer.close()
+
+
+def read_metrics(path: pathlib.Path) -> list[dict[str, float]]:
+    """The rows of a metrics.csv; none if there is no file."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        return [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
+
+
+def cut_metrics(path: pathlib.Path, env_steps: int) -> None:
+    """Drops the rows after `env_steps`: those that a resumed run will write again."""
+    if not path.exists():
+        return
+    with path.open(newline="") as file:
+        header, *rows = csv.reader(file)
+    column = header.index("env_steps")
+    kept = [row for row in rows if len(row) == len(header) and int(row[column]) <= env_steps]
+    partial = path.with_suffix(".partial")
+    with partial.open("w", newline="") as file:
+        csv.writer(file).writerows([header, *kept])
+    partial.replace(path)
+
+
+def _text(value: float) -> str:
+    """The shortest text that reads back as the same float32."""
+    return str(value) if isinstance(value, int) else f"{value:.9g}"
+
+
+class Progress:
+    """A bar on a terminal, a line an evaluation elsewhere; both on standard error."""
+
+    def __init__(self, total_steps: int, enabled: bool = True):
+        console = rich.console.Console(stderr=True)
+        self._lines = enabled and not console.is_terminal
+        self._total = total_steps
+        self._bar = rich.progress.Progress(
+            rich.progress.BarColumn(bar_width=None),
+            rich.progress.MofNCompleteColumn(),
+            rich.progress.TextColumn("return {task.fields[episode_return]}"),
+            rich.progress.TextColumn("{task.fields[rate]} steps/s"),
+            rich.progress.TimeRemainingColumn(elapsed_when_finished=True),
+            console=console,
+            disable=not enabled or self._lines,
+        )
+        self._task = self._bar.add_task("", total=total_steps, episode_return="-", rate="-")
+
+    def __enter__(self) -> "Progress":
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._bar.stop()
+
+    def advance(self, env_steps: int, steps_per_second: float) -> None:
+        """Moves the bar."""
+        self._bar.update(self._task, completed=env_steps, rate=f"{steps_per_second:,.0f}")
+
+    def evaluated(self, row: Mapping[str, float], seconds_left: float) -> None:
+        """Shows an evaluation's return."""
+        text = f"{row['return_mean']:.1f} ± {row['return_std']:.1f}"
+        self._bar.update(self._task, episode_return=text)
+        if self._lines:
+            print(
+                f"step {int(row['env_steps']):,} of {self._total:,}: return {text}, "
+                f"{row['steps_per_second']:,.0f} steps/s, {seconds_left:,.0f} s left",
+                file=sys.stderr,
+                flush=True,
+            )
