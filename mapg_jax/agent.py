@@ -14,8 +14,7 @@ from mapg_jax.networks import Actor, Critic
 from mapg_jax.normalization import NormalizerState
 
 
-@struct.dataclass
-class AgentState:
+class AgentState(struct.PyTreeNode):
     """All that acting, evaluating and learning read."""
 
     learner: LearnerState

@@ -21,7 +21,8 @@ def advance(
     r"""The next noise of every environment.
 
     `ou`: $x' = x - \theta x\,dt + \sigma \sqrt{dt}\,\varepsilon$ (Ornstein-Uhlenbeck by
-    Euler-Maruyama, as in the code the paper ran on); `gaussian`: $x' = \sigma \varepsilon$; `none`: 0.
+    Euler-Maruyama, as in the code the paper ran on); `gaussian`:
+    $x' = \sigma \varepsilon$; `none`: 0.
 
     Args:
       kind: of noise.

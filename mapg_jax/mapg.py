@@ -33,8 +33,7 @@ class Transition(NamedTuple):
     next_observation: jax.Array  # [D], raw, before any reset
 
 
-@struct.dataclass
-class Hyperparameters:
+class Hyperparameters(struct.PyTreeNode):
     """Numbers an update reads; traced, so that the runs of one compiled program may differ."""
 
     heads: jax.Array  # [] i32, M
@@ -45,8 +44,7 @@ class Hyperparameters:
     critic_l2: jax.Array  # []
 
 
-@struct.dataclass
-class LearnerState:
+class LearnerState(struct.PyTreeNode):
     """All that an update changes."""
 
     actor: Params
@@ -152,7 +150,10 @@ class Mapg:
         target: Float[Array, "B"],
         critic_l2: Float[Array, ""],
     ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        r"""$\frac{1}{B} \sum_b (y_b - Q(s_b, a_b))^2 + \frac{\lambda}{2} \sum_W \|W\|^2$; mean Q."""
+        r"""The critic's loss:
+
+        $\frac{1}{B} \sum_b (y_b - Q(s_b, a_b))^2 + \frac{\lambda}{2} \sum_W \|W\|^2$, and mean Q.
+        """
         q = self.values(critic, batch.observation, batch.action[:, None])[:, 0]
         loss = jnp.square(target - q).mean() + critic_l2 * kernel_l2(critic)
         return loss, q.mean()

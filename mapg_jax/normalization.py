@@ -8,8 +8,7 @@ from jaxtyping import Array, Float
 VARIANCE_FLOOR = 1e-2  # of a dimension, as in the code the paper ran on
 
 
-@struct.dataclass
-class NormalizerState:
+class NormalizerState(struct.PyTreeNode):
     """Count, mean and sum of squared deviations of all observations seen."""
 
     count: jax.Array  # [] f32

@@ -12,8 +12,7 @@ Items = Any
 """A tree of arrays with equal leading axes."""
 
 
-@struct.dataclass
-class ReplayState:
+class ReplayState(struct.PyTreeNode):
     """The slots and where the next item goes."""
 
     data: Items  # leaves [C, ...]

@@ -14,7 +14,7 @@ from mapg_jax.policy import Policy, load_policy
 from mapg_jax.run_folder import RunFolder, write_json
 
 Physics = Literal["auto", "native", "mjx", "jax", "gymnasium"]
-"""What an evaluation runs on; `auto` is the run's own engine, `gymnasium` the official environment."""
+"""What an evaluation runs on: `auto` is the run's own engine, `gymnasium` the official task."""
 
 
 def evaluate(

@@ -12,6 +12,7 @@ from flax import struct
 from jaxtyping import Array, Int, PRNGKeyArray
 
 import envs
+from envs.base import Episodes
 from mapg_jax import exploration, heads, replay
 from mapg_jax.agent import Agent, AgentState, hyperparameters, make_agent
 from mapg_jax.config import Config
@@ -29,8 +30,7 @@ class Totals(NamedTuple):
     episode_length: jax.Array  # [] steps
 
 
-@struct.dataclass
-class TrainState:
+class TrainState(struct.PyTreeNode):
     """All that changes while learning: what is jitted, donated, saved and resumed."""
 
     agent: AgentState
@@ -55,7 +55,7 @@ class RunKeys(NamedTuple):
     evaluation: PRNGKeyArray
 
 
-def run_keys(seed: Int[Array, ""]) -> RunKeys:
+def run_keys(seed: int | Int[Array, ""]) -> RunKeys:
     """The streams of a seed."""
     return RunKeys(*jax.random.split(jax.random.key(seed), 4))
 
@@ -69,7 +69,7 @@ class Trainer:
     """
 
     config: Config
-    env: envs.base.Episodes
+    env: Episodes
     agent: Agent
 
     @property
@@ -81,7 +81,7 @@ class Trainer:
         """The most updates a turn can make."""
         return math.ceil(self.config.environments * self.updates_ratio)
 
-    def init(self, seed: Int[Array, ""]) -> TrainState:
+    def init(self, seed: int | Int[Array, ""]) -> TrainState:
         """The state before the first step."""
         config = self.config
         n = config.environments
@@ -112,7 +112,7 @@ class Trainer:
     def collect(self, state: TrainState, key: PRNGKeyArray) -> TrainState:
         """One step of every environment, stored."""
         head_key, noise_key = jax.random.split(key)
-        observation = state.env.obs
+        observation = jnp.asarray(state.env.obs)
         agent = self.agent.see(state.agent, observation)
         head = heads.draw(head_key, agent.hyper.heads, observation.shape[:1])
         noise = exploration.advance(self.config.noise, noise_key, state.noise, state.noise_scale)

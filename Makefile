@@ -1,0 +1,43 @@
+# `make demo` and `make test` need Python 3.11 to 3.13 with pip, make and git, and nothing else.
+PYTHON ?= python3
+BIN := .venv/bin
+PYTEST := $(BIN)/python -m pytest
+
+.PHONY: demo test test-mjx check lint types bench bench-peers clean
+
+demo: .venv/ready  ## train MAPG (M = 10) on Pendulum and score it over 100 episodes
+	$(BIN)/mapg train --env pendulum --heads 10 --steps 40000 --evaluate-every 4000
+
+test: .venv/ready  ## the tests, under 8 minutes on 2 cores
+	$(PYTEST) -m "not mjx"
+
+test-mjx: .venv/ready  ## the tests that compile every task for MJX, about 15 minutes on 2 cores
+	$(PYTEST) -m mjx
+
+check: lint types test  ## all that is asked of a change
+
+lint: .venv/ready
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+
+types: .venv/ready
+	$(BIN)/pyright
+
+bench: .venv/ready  ## speed, against peers where they are installed
+	$(BIN)/python -m benchmarks
+
+bench-peers: .venv-peers/ready  ## installs the peers for `make bench`
+
+.venv/ready: pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; v = sys.version_info[:2]; (3, 11) <= v <= (3, 13) or sys.exit(f"Python {v[0]}.{v[1]} found, 3.11 to 3.13 needed: make PYTHON=python3.12")'
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	touch $@
+
+.venv-peers/ready: benchmarks/peers.txt
+	$(PYTHON) -m venv .venv-peers
+	.venv-peers/bin/python -m pip install --quiet --requirement benchmarks/peers.txt
+	touch $@
+
+clean:
+	rm -rf .venv .venv-peers
