@@ -8,7 +8,7 @@ from typing import Literal
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, Integer, PRNGKeyArray
 
 Select = Literal["uniform", "argmax-q", "mean", "first"]
 """How one action is made of the M proposals."""
@@ -24,7 +24,7 @@ def draw(key: PRNGKeyArray, heads: Int[Array, ""], shape: tuple[int, ...]) -> In
     return jax.random.randint(key, shape, 0, heads)
 
 
-def take(proposals: Float[Array, "*B M A"], head: Int[Array, "*B"]) -> Float[Array, "*B A"]:
+def take(proposals: Float[Array, "*B M A"], head: Integer[Array, "*B"]) -> Float[Array, "*B A"]:
     """The proposals of the given heads; the gradient reaches those heads alone."""
     chosen = head[..., None] == jnp.arange(proposals.shape[-2])
     # A masked sum: the gradient of a gather would be a scatter, which XLA runs row by row on a CPU.

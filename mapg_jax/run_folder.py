@@ -115,7 +115,10 @@ def _parse_config(values: dict[str, Any]) -> Config:
     missing = set(hints) ^ set(values)
     if missing:
         raise ValueError(f"unknown or missing: {', '.join(sorted(missing))}")
-    return Config(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+    arguments: dict[str, Any] = {
+        k: tuple(v) if isinstance(v, list) else v for k, v in values.items()
+    }
+    return Config(**arguments)
 
 
 def _version(package: str) -> str | None:

@@ -10,6 +10,8 @@ import rich.console
 import rich.progress
 import tensorboardX
 
+Row = Mapping[str, int | float]
+
 
 class MetricsFile:
     """metrics.csv and TensorBoard, one row an evaluation.
@@ -21,8 +23,8 @@ class MetricsFile:
         self.path = path
         self._writer = tensorboardX.SummaryWriter(str(path.parent), write_to_disk=True)
 
-    def write(self, row: Mapping[str, float]) -> None:
-        """Appends a row; the first one writes the header."""
+    def write(self, row: Row) -> None:
+        """Appends a row, `env_steps` first; the first one writes the header."""
         new = not self.path.exists()
         with self.path.open("a", newline="") as file:
             writer = csv.writer(file)
@@ -48,20 +50,26 @@ def read_metrics(path: pathlib.Path) -> list[dict[str, float]]:
 
 
 def cut_metrics(path: pathlib.Path, env_steps: int) -> None:
-    """Drops the rows after `env_steps`: those that a resumed run will write again."""
+    """Drops the rows after `env_steps`: those that a resumed run will write again.
+
+    A last line that was cut short is dropped too, and a file left without rows is removed, so that
+    the next row writes a whole header.
+    """
     if not path.exists():
         return
     with path.open(newline="") as file:
-        header, *rows = csv.reader(file)
-    column = header.index("env_steps")
-    kept = [row for row in rows if len(row) == len(header) and int(row[column]) <= env_steps]
+        header, *rows = list(csv.reader(file)) or [[]]
+    kept = [row for row in rows if len(row) == len(header) and int(row[0]) <= env_steps]
+    if not kept:
+        path.unlink()
+        return
     partial = path.with_suffix(".partial")
     with partial.open("w", newline="") as file:
         csv.writer(file).writerows([header, *kept])
     partial.replace(path)
 
 
-def _text(value: float) -> str:
+def _text(value: int | float) -> str:
     """The shortest text that reads back as the same float32."""
     return str(value) if isinstance(value, int) else f"{value:.9g}"
 
@@ -95,7 +103,7 @@ class Progress:
         """Moves the bar."""
         self._bar.update(self._task, completed=env_steps, rate=f"{steps_per_second:,.0f}")
 
-    def evaluated(self, row: Mapping[str, float], seconds_left: float) -> None:
+    def evaluated(self, row: Row, seconds_left: float) -> None:
         """Shows an evaluation's return."""
         text = f"{row['return_mean']:.1f} ± {row['return_std']:.1f}"
         self._bar.update(self._task, episode_return=text)
