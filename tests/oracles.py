@@ -1,0 +1,272 @@
+"""Slow, obvious versions of what is tested, and tiny environments whose values are known."""
+
+import collections
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from envs.base import Env, State, with_episodes
+from mapg_jax.agent import make_agent
+from mapg_jax.config import Config
+from mapg_jax.mapg import Transition
+from mapg_jax.training import Trainer, TrainState
+
+# ----- tiny environments
+
+
+class Tiny(Env):
+    """One action in [-1, 1]; a subclass says what happens."""
+
+    dt = 1.0  # s
+    action_high = np.ones(1, np.float32)
+    size = 1
+
+    @property
+    def observation_size(self) -> int:
+        return self.size
+
+    @property
+    def action_size(self) -> int:
+        return 1
+
+    @property
+    def backend(self) -> str:
+        return "jax"
+
+    def reset(self, rng: jax.Array) -> State:
+        return self.state(jnp.zeros(self.size), 0.0, 0.0)
+
+    def state(self, observation, reward, done) -> State:
+        """A state that is all in its observation."""
+        return State(None, observation, jnp.float32(reward), jnp.float32(done), {}, {})
+
+
+class OneStep(Tiny):
+    """Reward 1, then the end: Q = 1."""
+
+    def step(self, state: State, action: jax.Array) -> State:
+        return self.state(state.obs, 1.0, 1.0)
+
+
+class TwoSteps(Tiny):
+    """Observes 0, then 1; reward 0, then 1, then the end: Q = γ, then 1."""
+
+    def step(self, state: State, action: jax.Array) -> State:
+        return self.state(jnp.ones(1), state.obs[0], state.obs[0])
+
+
+class Endless(Tiny):
+    """Reward 1 for ever, in a single state: Q = 1 / (1 - γ)."""
+
+    def step(self, state: State, action: jax.Array) -> State:
+        return self.state(state.obs, 1.0, 0.0)
+
+
+class Side(Tiny):
+    """Observes s = ±1; reward s · a, then the end: Q(s, a) = s · a, and a = s is best."""
+
+    def reset(self, rng: jax.Array) -> State:
+        side = jnp.where(jax.random.bernoulli(rng), 1.0, -1.0)
+        return self.state(side[None], 0.0, 0.0)
+
+    def step(self, state: State, action: jax.Array) -> State:
+        return self.state(state.obs, state.obs[0] * action[0], 1.0)
+
+
+class RandomLength(Tiny):
+    """Observes the steps left, 1 to 9, and a constant of the start; reward is their product + a.
+
+    Long episodes are worth more, so that an average over the first to finish would be too low.
+    """
+
+    size = 2
+
+    def reset(self, rng: jax.Array) -> State:
+        left_key, worth_key = jax.random.split(rng)
+        left = jax.random.randint(left_key, (), 1, 10).astype(jnp.float32)
+        state = self.state(jnp.stack([left, jax.random.uniform(worth_key)]), 0.0, 0.0)
+        return state.replace(metrics={"left": left})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        left, worth = state.obs
+        after = self.state(jnp.stack([left - 1, worth]), left * worth + action[0], left == 1)
+        return after.replace(metrics={**state.metrics, "left": left - 1}, info=state.info)
+
+
+TINY = Config(
+    heads=3,
+    environments=4,
+    replay_size=200,
+    batch_size=8,
+    hidden=(8, 8),
+    learning_starts=16,
+)
+"""A run that compiles and goes fast; its environment is given to `make_trainer`."""
+
+
+def make_trainer(env: Env, time_limit: int, config: Config, padded_heads: int | None = None):
+    """A trainer on an environment without a name."""
+    agent = make_agent(config, env.action_size, padded_heads)
+    return Trainer(config, with_episodes(env, time_limit), agent)
+
+
+def assert_equal(got, expected) -> None:
+    """Every leaf, to the last bit; random keys by their data, NaN equal to NaN."""
+
+    def bits(x):
+        return jax.random.key_data(x) if jnp.issubdtype(x.dtype, jax.dtypes.prng_key) else x
+
+    got, expected = jax.tree.map(bits, got), jax.tree.map(bits, expected)
+    jax.tree.map(np.testing.assert_array_equal, got, expected)
+
+
+def stored(state: TrainState) -> Transition:
+    """The transitions in the replay, in the order of the slots."""
+    return jax.tree.map(lambda x: np.asarray(x)[: int(state.replay.size)], state.replay.data)
+
+
+# ----- networks, as lists of arrays
+
+
+def last_layer(actor, heads: int):
+    """The actor's last kernel [W, M, A] and bias [M, A]."""
+    kernel, bias = actor["params"]["kernel"], actor["params"]["bias"]
+    return kernel.reshape(len(kernel), heads, -1), bias.reshape(heads, -1)
+
+
+def trunk(actor):
+    """The actor without its last layer."""
+    return {k: v for k, v in actor["params"].items() if k not in ("kernel", "bias")}
+
+
+def with_one_head(actor, heads: int, m: int):
+    """The actor that has head m alone."""
+    kernel, bias = last_layer(actor, heads)
+    shape = actor["params"]["bias"].shape[:-2]
+    return {
+        "params": {
+            **trunk(actor),
+            "kernel": kernel[:, m],
+            "bias": bias[m].reshape(*shape, 1, -1),
+        }
+    }
+
+
+# ----- DDPG (Lillicrap et al. 2016), from its paper and eager: two ReLU layers, no layer norm
+
+
+def ddpg_actor(p, s):
+    """μ(s), [B, A]."""
+    h = jax.nn.relu(s @ p["W1"] + p["b1"])
+    h = jax.nn.relu(h @ p["W2"] + p["b2"])
+    return jnp.tanh(h @ p["W3"] + p["b3"])
+
+
+def ddpg_critic(p, s, a):
+    """Q(s, a), [B]; the action joins at the second layer."""
+    h = jax.nn.relu(s @ p["W1"] + p["b1"])
+    h = jax.nn.relu(jnp.concatenate([h, a], 1) @ p["W2"] + p["b2"])
+    return h @ p["W3"] + p["b3"]
+
+
+def ddpg_actor_parameters(actor):
+    """Ours under the oracle's names."""
+    p = actor["params"]
+    kernel, bias = last_layer(actor, 1)
+    return {
+        "W1": p["Dense_0"]["kernel"],
+        "b1": p["Dense_0"]["bias"],
+        "W2": p["Dense_1"]["kernel"],
+        "b2": p["Dense_1"]["bias"],
+        "W3": kernel[:, 0],
+        "b3": bias[0],
+    }
+
+
+def ddpg_critic_parameters(critic):
+    """Ours under the oracle's names."""
+    p = critic["params"]
+    return {
+        "W1": p["Dense_0"]["kernel"],
+        "b1": p["Dense_0"]["bias"],
+        "W2": jnp.concatenate([p["features_kernel"], p["action_kernel"]]),
+        "b2": p["joint_bias"],
+        "W3": p["kernel"],
+        "b3": p["bias"],
+    }
+
+
+class Adam:
+    """Kingma and Ba (2015), Algorithm 1."""
+
+    def __init__(self, rate):
+        self.rate, self.t = rate, 0
+        self.m, self.v = collections.defaultdict(float), collections.defaultdict(float)
+
+    def __call__(self, parameters, gradient):
+        self.t += 1
+        after = {}
+        for name, g in gradient.items():
+            self.m[name] = 0.9 * self.m[name] + 0.1 * g
+            self.v[name] = 0.999 * self.v[name] + 0.001 * g**2
+            m = self.m[name] / (1 - 0.9**self.t)
+            v = self.v[name] / (1 - 0.999**self.t)
+            after[name] = parameters[name] - self.rate * m / (jnp.sqrt(v) + 1e-8)
+        return after
+
+
+class Ddpg:
+    """Actor, critic, their targets and their optimisers."""
+
+    def __init__(self, actor, critic, config: Config):
+        self.actor = self.actor_target = actor
+        self.critic = self.critic_target = critic
+        self.config = config
+        self.actor_adam = Adam(config.actor_learning_rate)
+        self.critic_adam = Adam(config.critic_learning_rate)
+
+    def update(self, s, a, r, terminal, s2) -> None:
+        config = self.config
+        next_q = ddpg_critic(self.critic_target, s2, ddpg_actor(self.actor_target, s2))
+        y = r + config.discount * (1 - terminal) * next_q
+
+        def critic_loss(p):
+            penalty = sum((p[name] ** 2).sum() for name in ("W1", "W2", "W3"))
+            return ((y - ddpg_critic(p, s, a)) ** 2).mean() + config.critic_l2 / 2 * penalty
+
+        def actor_loss(p):
+            return -ddpg_critic(self.critic, s, ddpg_actor(p, s)).mean()
+
+        self.critic = self.critic_adam(self.critic, jax.grad(critic_loss)(self.critic))
+        self.actor = self.actor_adam(self.actor, jax.grad(actor_loss)(self.actor))
+        for name in ("actor", "critic"):
+            online, target = getattr(self, name), getattr(self, name + "_target")
+            moved = {k: (1 - config.tau) * target[k] + config.tau * online[k] for k in online}
+            setattr(self, name + "_target", moved)
+
+
+# ----- statistics
+
+
+def spread(proposals) -> float:
+    """Standard deviation over the M proposals [M, A], averaged over the action's dimensions."""
+    return float(np.mean([np.std(column) for column in np.asarray(proposals, np.float64).T]))
+
+
+def q_gap(values) -> float:
+    """Largest minus smallest of the M values."""
+    return float(max(values) - min(values))
+
+
+def ou_moments(start, theta, sigma, dt, steps):
+    """Mean and variance of the Euler-Maruyama Ornstein-Uhlenbeck process after some steps."""
+    a = 1 - theta * dt
+    variance = sigma**2 * dt * sum(a ** (2 * k) for k in range(steps))
+    return start * a**steps, variance
+
+
+def chi_square_limit(cells: int, deviations: float = 6.0) -> float:
+    """A bound of Pearson's statistic: its mean plus so many of its standard deviations."""
+    return (cells - 1) + deviations * math.sqrt(2 * (cells - 1))
