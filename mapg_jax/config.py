@@ -2,6 +2,8 @@
 
 import ast
 import dataclasses
+import math
+import typing
 from typing import Any, Literal
 
 import envs
@@ -86,28 +88,34 @@ class Config:
     """Newest checkpoints kept."""
 
     def __post_init__(self):
+        for name, hint in typing.get_type_hints(Config).items():
+            value, choices = getattr(self, name), typing.get_args(hint)
+            if typing.get_origin(hint) is Literal and value not in choices:
+                raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}")
+            if isinstance(value, float) and not math.isfinite(value):
+                raise ValueError(f"{name} must be finite, got {value}")
         at_least = {
-            "heads": 1, "seed": 0, "steps": 1, "environments": 1, "learning_starts": 0,
-            "replay_size": 1, "batch_size": 1, "evaluate_every": 1, "evaluation_episodes": 1,
-            "final_episodes": 1, "checkpoints_kept": 1,
+            "heads": 1, "seed": 0, "steps": 1, "environments": 1, "updates_per_step": 1e-5,
+            "learning_starts": 0, "replay_size": 1, "batch_size": 1, "evaluate_every": 1,
+            "evaluation_episodes": 1, "final_episodes": 1, "checkpoints_kept": 1, "critic_l2": 0,
+            "noise_scale": 0, "noise_scale_last": 0, "time_limit": 1,
         }  # fmt: skip
         for name, least in at_least.items():
-            if getattr(self, name) < least:
-                raise ValueError(f"{name} must be at least {least}, got {getattr(self, name)}")
-        positive = ("updates_per_step", "observation_clip", "checkpoint_seconds", "tau",
-                    "actor_learning_rate", "critic_learning_rate")  # fmt: skip
+            value = getattr(self, name)
+            if value is not None and value < least:
+                raise ValueError(f"{name} must be at least {least}, got {value}")
+        at_most = {"seed": 2**31 - 1, "steps": 2_000_000_000, "tau": 1}  # counters are int32
+        for name, most in at_most.items():
+            if getattr(self, name) > most:
+                raise ValueError(f"{name} must be at most {most}, got {getattr(self, name)}")
+        positive = ("observation_clip", "checkpoint_seconds", "tau", "actor_learning_rate",
+                    "critic_learning_rate", "max_gradient_norm")  # fmt: skip
         for name in positive:
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
-        for name in ("critic_l2", "noise_scale"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+            value = getattr(self, name)
+            if value is not None and value <= 0:
+                raise ValueError(f"{name} must be above 0, got {value}")
         if not 0 <= self.discount < 1:
             raise ValueError(f"discount must be in [0, 1), got {self.discount}")
-        if self.tau > 1:
-            raise ValueError(f"tau must be at most 1, got {self.tau}")
-        if self.max_gradient_norm is not None and not self.max_gradient_norm > 0:
-            raise ValueError(f"max_gradient_norm must be above 0, got {self.max_gradient_norm}")
         if len(self.hidden) < 2 or min(self.hidden) < 1:
             raise ValueError(
                 f"hidden must be two widths or more, each at least 1, got {self.hidden}"
@@ -120,8 +128,6 @@ class Config:
             raise ValueError(
                 f"{self.environments} environments do not fit a replay of {self.replay_size}"
             )
-        if self.time_limit is not None and self.time_limit < 1:
-            raise ValueError(f"time_limit must be at least 1, got {self.time_limit}")
         self.parsed_env_options()
 
     def parsed_env_options(self) -> dict[str, Any]:
