@@ -145,7 +145,12 @@ def own_stdout():
     ours = os.dup(1)
     os.dup2(2, 1)
     with os.fdopen(ours, "w") as out:
-        yield out
+        try:
+            yield out
+        finally:
+            sys.stdout.flush()
+            out.flush()
+            os.dup2(ours, 1)
 
 
 def _parse(arguments: list[str]):
