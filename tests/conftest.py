@@ -1,7 +1,17 @@
 """What all tests share."""
 
+import os
+import tempfile
+
 import flax.struct
+import jax
 
 # The import hook checks the arrays that functions take and return. Containers hold shapes, NumPy
 # arrays and JAX's own placeholders too, so they are left alone: the hook honours this mark.
 flax.struct.PyTreeNode.__no_type_check__ = True
+
+# Programs compiled once serve every test of a session and the commands that tests start.
+_cache = tempfile.TemporaryDirectory(prefix="mapg-tests-")
+os.environ["JAX_COMPILATION_CACHE_DIR"] = _cache.name
+jax.config.update("jax_compilation_cache_dir", _cache.name)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
