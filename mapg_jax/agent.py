@@ -5,7 +5,7 @@ import dataclasses
 import jax.numpy as jnp
 import optax
 from flax import struct
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from mapg_jax import normalization
 from mapg_jax.config import Config
@@ -54,6 +54,13 @@ class Agent:
     ) -> Float[Array, "*B M A"]:
         """The M actions proposed for raw observations."""
         return self.algorithm.proposals(state.learner.actor, self.normalize(state, observation))
+
+    def proposal(
+        self, state: AgentState, observation: Float[Array, "*B D"], head: Int[Array, "*B"]
+    ) -> Float[Array, "*B A"]:
+        """The action that one head a state proposes for raw observations."""
+        observation = self.normalize(state, observation)
+        return self.algorithm.proposal(state.learner.actor, observation, head)
 
     def proposals_and_values(
         self, state: AgentState, observation: Float[Array, "*B D"]

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from mapg_jax import heads as heads_
 from mapg_jax.networks import Actor, Critic
@@ -121,11 +121,23 @@ class Mapg:
         """All M actions, padding included."""
         return self.actor.apply(actor, observation)
 
+    def proposal(
+        self, actor: Params, observation: Float[Array, "*B D"], head: Int[Array, "*B"]
+    ) -> Float[Array, "*B A"]:
+        """The action of one head a state; the gradient reaches that head alone."""
+        return self.actor.apply(actor, observation, head)
+
     def values(
         self, critic: Params, observation: Float[Array, "*B D"], actions: Float[Array, "*B K A"]
     ) -> Float[Array, "*B K"]:
         """Q of K actions a state."""
         return self.critic.apply(critic, observation, actions)
+
+    def value(
+        self, critic: Params, observation: Float[Array, "*B D"], action: Float[Array, "*B A"]
+    ) -> Float[Array, "*B"]:
+        """Q of one action a state."""
+        return self.values(critic, observation, action[..., None, :])[..., 0]
 
     def next_value(
         self,
@@ -135,11 +147,11 @@ class Mapg:
         key: PRNGKeyArray,
     ) -> Float[Array, "B"]:
         r"""$V'(s')$ of the target networks: the mean over heads, or that of one head drawn."""
-        proposals = self.proposals(state.actor_target, observation)
         if self.target == "sampled":
-            head = heads_.draw(key, hyper.heads, proposals.shape[:1])
-            action = heads_.take(proposals, head)[:, None]
-            return self.values(state.critic_target, observation, action)[:, 0]
+            head = heads_.draw(key, hyper.heads, observation.shape[:1])
+            action = self.proposal(state.actor_target, observation, head)
+            return self.value(state.critic_target, observation, action)
+        proposals = self.proposals(state.actor_target, observation)
         values = self.values(state.critic_target, observation, proposals)
         return heads_.mean(values, hyper.heads)
 
@@ -154,7 +166,7 @@ class Mapg:
 
         $\frac{1}{B} \sum_b (y_b - Q(s_b, a_b))^2 + \frac{\lambda}{2} \sum_W \|W\|^2$, and mean Q.
         """
-        q = self.values(critic, batch.observation, batch.action[:, None])[:, 0]
+        q = self.value(critic, batch.observation, batch.action)
         loss = jnp.square(target - q).mean() + critic_l2 * kernel_l2(critic)
         return loss, q.mean()
 
@@ -171,15 +183,15 @@ class Mapg:
         $j_b$ is the head that acted (`stored`) or a fresh one (`resampled`); `all` takes the mean
         over the heads instead, the full gradient of Eq. 6's objective.
         """
-        proposals = self.proposals(actor, batch.observation)
         if self.gradient == "all":
+            proposals = self.proposals(actor, batch.observation)
             values = self.values(critic, batch.observation, proposals)
             return -heads_.mean(values, hyper.heads).mean()
         head = batch.head
         if self.gradient == "resampled":
             head = heads_.draw(key, hyper.heads, head.shape)
-        action = heads_.take(proposals, head)[:, None]
-        return -self.values(critic, batch.observation, action).mean()
+        action = self.proposal(actor, batch.observation, head)
+        return -self.value(critic, batch.observation, action).mean()
 
     def update(
         self, state: LearnerState, hyper: Hyperparameters, batch: Transition, key: PRNGKeyArray

@@ -7,7 +7,9 @@ the paper ran on, can be turned off. Last layers start at U(±3e-3) (Lillicrap e
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
+
+from mapg_jax.heads import take
 
 LAST_LAYER_SCALE = 3e-3
 _hidden_init = nn.initializers.glorot_uniform()  # as in the code the paper ran on
@@ -17,16 +19,29 @@ def _last_layer_uniform(key, shape, dtype=jnp.float32):
     return jax.random.uniform(key, shape, dtype, -LAST_LAYER_SCALE, LAST_LAYER_SCALE)
 
 
-def _per_head_uniform(key, shape, dtype=jnp.float32):
-    """U(±3e-3), head by head, so that head m starts the same whatever the number of heads.
+def _joint_init(fan_in):
+    """Glorot's uniform for a part of the rows of a kernel with `fan_in` rows in all."""
 
-    The axis of heads is the second to last one.
-    """
+    def init(key, shape, dtype=jnp.float32):
+        limit = (6 / (fan_in + shape[-1])) ** 0.5
+        return jax.random.uniform(key, shape, dtype, -limit, limit)
 
-    def one_head(m):
-        return _last_layer_uniform(jax.random.fold_in(key, m), (*shape[:-2], shape[-1]), dtype)
+    return init
 
-    return jnp.moveaxis(jax.vmap(one_head)(jnp.arange(shape[-2])), 0, -2)
+
+def _per_head_uniform(heads):
+    """U(±3e-3) head by head, so that head m starts the same whatever the number of heads."""
+
+    def init(key, shape, dtype=jnp.float32):
+        rows, columns = shape
+
+        def one_head(m):
+            head_key = jax.random.fold_in(key, m)
+            return _last_layer_uniform(head_key, (rows, columns // heads), dtype)
+
+        return jnp.moveaxis(jax.vmap(one_head)(jnp.arange(heads)), 0, 1).reshape(shape)
+
+    return init
 
 
 class _Rectifier(nn.Module):
@@ -48,17 +63,20 @@ class Actor(nn.Module):
     layer_norm: bool
 
     @nn.compact
-    def __call__(self, observation: Float[Array, "*B D"]) -> Float[Array, "*B {self.heads} A"]:
+    def __call__(
+        self, observation: Float[Array, "*B D"], head: Int[Array, "*B"] | None = None
+    ) -> Float[Array, "*B {self.heads} {self.action_size}"] | Float[Array, "*B {self.action_size}"]:
+        """All M proposals, or that of one head a state; its gradient reaches that head alone."""
         x = observation
         for width in self.hidden:
             x = nn.Dense(width, kernel_init=_hidden_init)(x)
             x = _Rectifier(self.layer_norm)(x)
-        shape = (self.heads, self.action_size)
-        kernel = self.param("kernel", _per_head_uniform, (x.shape[-1], *shape))
-        bias = self.param("bias", _per_head_uniform, shape)
-        # One matrix product for all heads: [B, W] x [W, M * A].
-        flat = x @ kernel.reshape(x.shape[-1], -1)
-        return jnp.tanh(flat.reshape(*x.shape[:-1], *shape) + bias)
+        # One matrix product for all heads, their outputs side by side: [B, W] x [W, M * A].
+        init = _per_head_uniform(self.heads)
+        kernel = self.param("kernel", init, (x.shape[-1], self.heads * self.action_size))
+        bias = self.param("bias", init, (1, self.heads * self.action_size))
+        x = (x @ kernel + bias[0]).reshape(*x.shape[:-1], self.heads, self.action_size)
+        return jnp.tanh(x if head is None else take(x, head))
 
 
 class Critic(nn.Module):
@@ -69,24 +87,24 @@ class Critic(nn.Module):
 
     @nn.compact
     def __call__(
-        self, observation: Float[Array, "*B D"], actions: Float[Array, "*B K A"]
+        self,
+        observation: Float[Array, "*B D"],
+        actions: Float[Array, "*B K A"],
     ) -> Float[Array, "*B K"]:
-        first, *rest = self.hidden
+        first, second, *rest = self.hidden
         x = nn.Dense(first, kernel_init=_hidden_init)(observation)
+        x = self._join(_Rectifier(self.layer_norm)(x), actions, second)
         x = _Rectifier(self.layer_norm)(x)
-        for i, width in enumerate(rest):
-            if i == 0:
-                x = self._join(x, actions, width)
-            else:
-                x = nn.Dense(width, kernel_init=_hidden_init)(x)
-            x = _Rectifier(self.layer_norm)(x)
+        for width in rest:
+            x = _Rectifier(self.layer_norm)(nn.Dense(width, kernel_init=_hidden_init)(x))
         kernel = self.param("kernel", _last_layer_uniform, (x.shape[-1],))
         return x @ kernel + self.param("bias", _last_layer_uniform, ())
 
     def _join(self, features, actions, width):
         """A dense layer on [features, action]; the features' part is computed once a state."""
-        size = features.shape[-1]
-        shape = (size + actions.shape[-1], width)
-        kernel = self.param("joint_kernel", _hidden_init, shape)
+        sizes = features.shape[-1], actions.shape[-1]
+        init = _joint_init(sum(sizes))
+        features_kernel = self.param("features_kernel", init, (sizes[0], width))
+        action_kernel = self.param("action_kernel", init, (sizes[1], width))
         bias = self.param("joint_bias", nn.initializers.zeros, (width,))
-        return (features @ kernel[:size])[..., None, :] + (actions @ kernel[size:] + bias)
+        return (features @ features_kernel + bias)[..., None, :] + actions @ action_kernel

@@ -116,8 +116,7 @@ class Trainer:
         agent = self.agent.see(state.agent, observation)
         head = heads.draw(head_key, agent.hyper.heads, observation.shape[:1])
         noise = exploration.advance(self.config.noise, noise_key, state.noise, state.noise_scale)
-        proposal = heads.take(self.agent.proposals(agent, observation), head)
-        action = jnp.clip(proposal + noise, -1.0, 1.0)
+        action = jnp.clip(self.agent.proposal(agent, observation, head) + noise, -1.0, 1.0)
 
         env = jax.vmap(self.env.step)(state.env, action)
         ended = env.done > 0.5
