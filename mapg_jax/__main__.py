@@ -1,0 +1,5 @@
+"""python -m mapg_jax is the command `mapg`."""
+
+from mapg_jax.cli import main
+
+main()
