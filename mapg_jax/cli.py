@@ -119,7 +119,7 @@ class Envs:
 def main() -> None:
     """The command `mapg`."""
     # Networks of this size are too small to share among XLA's threads, which wait for each other:
-    # one is faster, and leaves the other cores to the physics. An own NPROC in the environment wins.
+    # one is faster and leaves the other cores to the physics. NPROC in the environment wins.
     os.environ.setdefault("NPROC", "1")
     command = _parse(sys.argv[1:])
     jax.config.update("jax_compilation_cache_dir", str(_cache_folder()))
