@@ -13,12 +13,17 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.custom_batching import custom_vmap
+from jaxtyping import Float
 
 with contextlib.redirect_stdout(sys.stderr):  # importing brax.envs prints its backends' warnings
     from brax.envs.base import Env, State, Wrapper
 
-__all__ = ["Env", "Episodes", "State", "Wrapper", "where_ended", "with_episodes"]
+__all__ = ["Action", "Env", "Episodes", "State", "Wrapper", "where_ended", "with_episodes"]
+
+Action = Float[jax.Array | np.ndarray, "A"]
+"""In [-1, 1]^A; clipped there first."""
 
 RESETS_PER_ROUND = 1 / 16
 """Of a batch: few enough to be cheap, enough that most steps need one round."""
@@ -92,7 +97,7 @@ class Episodes(Wrapper):
         }
         return state.replace(info={**state.info, **info})
 
-    def step(self, state: State, action: jax.Array) -> State:
+    def step(self, state: State, action: Action) -> State:
         nstate = self.env.step(state, action)
         steps = state.info["steps"] + 1
         terminated = nstate.done > 0.5

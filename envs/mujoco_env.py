@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from envs.base import Env, State
+from envs.base import Action, Env, State
 from envs.engines.mjx import MjxEngine
 from envs.engines.native import NativeEngine
 from envs.mujoco_tasks.task import MujocoTask
@@ -55,7 +55,7 @@ class MujocoEnv(Env):
             )
         return self._first(*self.engine.reset_to(qpos, qvel))
 
-    def step(self, state: State, action: jax.Array) -> State:
+    def step(self, state: State, action: Action) -> State:
         control = jnp.clip(action.astype(jnp.float32), -1.0, 1.0) * self.action_high
         pipeline_state, outcome = self.engine.step(state.pipeline_state, control)
         return state.replace(

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
 
-from envs.base import Env, State
+from envs.base import Action, Env, State
 
 DT, MASS, LENGTH = 0.05, 1.0, 1.0  # s, kg, m
 MAX_SPEED = 8.0  # rad/s
@@ -55,7 +55,7 @@ class Pendulum(Env):
             zero = jnp.zeros((), jnp.float32)
             return State(_to_bits(values), _observation(values), zero, zero, {}, {})
 
-    def step(self, state: State, action: Float[Array, "1"]) -> State:
+    def step(self, state: State, action: Action) -> State:
         torque = (jnp.clip(action.astype(jnp.float32), -1.0, 1.0) * MAX_TORQUE)[0]
         with jax.enable_x64(True):
             theta, theta_dot = jax.lax.bitcast_convert_type(state.pipeline_state, jnp.float64)

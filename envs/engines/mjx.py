@@ -14,19 +14,21 @@ from flax import struct
 with contextlib.redirect_stdout(sys.stderr):  # importing mjx prints which parts of it are missing
     from mujoco import mjx
 
+from envs.engines.contact_frames import mujoco_contact_frames
 from envs.engines.outcome import Outcome
-from envs.mujoco_tasks.task import MujocoTask, Physics
+from envs.mujoco_tasks.task import Array, MujocoTask, Physics
 
 
 @struct.dataclass
 class MjxState:
     """All that one step hands to the next; everything else follows from it."""
 
-    time: jax.Array  # [] s
-    qpos: jax.Array  # [nq]
-    qvel: jax.Array  # [nv]
-    qacc_warmstart: jax.Array  # [nv]
-    anchor: jax.Array  # [K]
+    time: Array  # [] s
+    qpos: Array  # [nq]
+    qvel: Array  # [nv]
+    act: Array  # [na]
+    qacc_warmstart: Array  # [nv]
+    anchor: Array  # [K]
 
 
 def supported_model(model: mujoco.MjModel) -> mujoco.MjModel:
@@ -54,6 +56,7 @@ class MjxEngine:
         qpos_offset, qvel_offset = self.task.start_offset(key)
         return self.reset_to(self._qpos0 + qpos_offset, qvel_offset)
 
+    @mujoco_contact_frames()
     def reset_to(self, qpos, qvel) -> tuple[MjxState, Outcome]:
         """The start at a given qpos [nq] and qvel [nv]."""
         qpos, qvel = jnp.asarray(qpos, jnp.float32), jnp.asarray(qvel, jnp.float32)
@@ -68,12 +71,14 @@ class MjxEngine:
         )
         return self._state(data, anchor), outcome
 
+    @mujoco_contact_frames()
     def step(self, state: MjxState, control: jax.Array) -> tuple[MjxState, Outcome]:
         """`task.frame_skip` physics steps under `control` ([A] float32, Gymnasium's units)."""
         data = mjx.make_data(self._model).replace(
             time=state.time,
             qpos=state.qpos,
             qvel=state.qvel,
+            act=state.act,
             qacc_warmstart=state.qacc_warmstart,
             ctrl=control,
         )
@@ -94,12 +99,12 @@ class MjxEngine:
         """The simulation of one instance, with everything derived from its state computed."""
         data = mujoco.MjData(self.model)
         data.time, data.qpos, data.qvel = state.time, state.qpos, state.qvel
-        data.qacc_warmstart = state.qacc_warmstart
+        data.act, data.qacc_warmstart = state.act, state.qacc_warmstart
         mujoco.mj_forward(self.model, data)
         return data
 
     def _state(self, data: mjx.Data, anchor: jax.Array) -> MjxState:
-        return MjxState(data.time, data.qpos, data.qvel, data.qacc_warmstart, anchor)
+        return MjxState(data.time, data.qpos, data.qvel, data.act, data.qacc_warmstart, anchor)
 
     def _physics(self, data: mjx.Data, contact_forces: bool) -> Physics:
         fields = {name: _field(data, name) for name in ("qpos", "qvel", *self.task.fields)}

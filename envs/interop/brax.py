@@ -10,7 +10,7 @@ import numpy as np
 with contextlib.redirect_stdout(sys.stderr):  # importing brax.envs prints its backends' warnings
     from brax import envs as brax_envs
 
-from envs.base import Env, State, Wrapper
+from envs.base import Action, Env, State, Wrapper
 
 TIME_LIMIT = 1000
 """Steps of an episode in Brax's own training runs."""
@@ -49,7 +49,7 @@ class BraxEnv(Wrapper):
     def action_high(self) -> np.ndarray:
         return np.ones(self.action_size, np.float32)
 
-    def step(self, state: State, action: jax.Array) -> State:
+    def step(self, state: State, action: Action) -> State:
         # Brax writes its metrics into the caller's dictionary; a copy keeps `step` pure.
         state = state.replace(metrics=dict(state.metrics), info=dict(state.info))
         return self.env.step(state, jnp.clip(action.astype(jnp.float32), -1.0, 1.0))
