@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import functools
 import math
 import os
 import signal
@@ -161,8 +162,9 @@ class Run:
         if state is None:
             state = self.trainer.jitted_init(self.config.seed)
         run = self.trainer.jitted_run.lower(state, 0).compile()
-        evaluate = self._compiled_evaluation(state)
+        evaluate = self._jitted_evaluation()
         chunk, interval = Pace(), Pace()
+        learning = False
         while not self.finished:
             done = self.turn % self._turns_per_evaluation
             stop = min(self.turn + self._turns_per_evaluation - done, self.last_turn)
@@ -174,6 +176,9 @@ class Run:
             for pace in (chunk, interval):
                 pace.add(turns, time.monotonic() - begun)
             bar.advance(self.turn * environments, chunk.rate() * environments)
+            if not learning and state.agent.learner.updates > 0:
+                learning = True
+                bar.learning()
 
             if self.turn == stop:
                 seconds = self._seconds_before + time.monotonic() - started
@@ -190,19 +195,17 @@ class Run:
             if signals:
                 raise StoppedError(signals[0], self.folder.path)
 
-    def _compiled_evaluation(self, state: TrainState):
-        def evaluate(agent_state, key):
-            return play(
+    def _jitted_evaluation(self):
+        return jax.jit(
+            functools.partial(
+                play,
                 self.trainer.env.unwrapped,
                 self.trainer.agent,
-                agent_state,
-                key,
                 episodes=self.config.evaluation_episodes,
                 time_limit=self.trainer.env.time_limit,
                 select="uniform",
             )
-
-        return jax.jit(evaluate).lower(state.agent, jax.random.key(0)).compile()
+        )
 
     def _row(self, state: TrainState, evaluate, turns_per_second: float, seconds: float) -> dict:
         """One row of metrics.csv; docs/metrics.md defines the columns."""

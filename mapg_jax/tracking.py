@@ -103,6 +103,11 @@ class Progress:
         """Moves the bar."""
         self._bar.update(self._task, completed=env_steps, rate=f"{steps_per_second:,.0f}")
 
+    def learning(self) -> None:
+        """Says that the first updates are made: everything is compiled."""
+        if self._lines:
+            print("learning", file=sys.stderr, flush=True)
+
     def evaluated(self, row: Row, seconds_left: float) -> None:
         """Shows an evaluation's return."""
         text = f"{row['return_mean']:.1f} ± {row['return_std']:.1f}"
