@@ -5,7 +5,7 @@ import dataclasses
 import jax.numpy as jnp
 import optax
 from flax import struct
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Integer, PRNGKeyArray
 
 from mapg_jax import normalization
 from mapg_jax.config import Config
@@ -56,7 +56,7 @@ class Agent:
         return self.algorithm.proposals(state.learner.actor, self.normalize(state, observation))
 
     def proposal(
-        self, state: AgentState, observation: Float[Array, "*B D"], head: Int[Array, "*B"]
+        self, state: AgentState, observation: Float[Array, "*B D"], head: Integer[Array, "*B"]
     ) -> Float[Array, "*B A"]:
         """The action that one head a state proposes for raw observations."""
         observation = self.normalize(state, observation)

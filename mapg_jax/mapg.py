@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Integer, PRNGKeyArray
 
 from mapg_jax import heads as heads_
 from mapg_jax.networks import Actor, Critic
@@ -122,7 +122,7 @@ class Mapg:
         return self.actor.apply(actor, observation)
 
     def proposal(
-        self, actor: Params, observation: Float[Array, "*B D"], head: Int[Array, "*B"]
+        self, actor: Params, observation: Float[Array, "*B D"], head: Integer[Array, "*B"]
     ) -> Float[Array, "*B A"]:
         """The action of one head a state; the gradient reaches that head alone."""
         return self.actor.apply(actor, observation, head)

@@ -7,7 +7,7 @@ the paper ran on, can be turned off. Last layers start at U(±3e-3) (Lillicrap e
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Integer
 
 from mapg_jax.heads import take
 
@@ -64,7 +64,7 @@ class Actor(nn.Module):
 
     @nn.compact
     def __call__(
-        self, observation: Float[Array, "*B D"], head: Int[Array, "*B"] | None = None
+        self, observation: Float[Array, "*B D"], head: Integer[Array, "*B"] | None = None
     ) -> Float[Array, "*B {self.heads} {self.action_size}"] | Float[Array, "*B {self.action_size}"]:
         """All M proposals, or that of one head a state; its gradient reaches that head alone."""
         x = observation
