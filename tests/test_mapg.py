@@ -1,0 +1,342 @@
+"""The update: targets, gradients head by head, DDPG as M = 1, and padding.
+
+Algebra is checked in float64, where 1e-10 is far above rounding and far below any mistake.
+"""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import oracles
+import pytest
+
+from mapg_jax.agent import hyperparameters, make_agent
+from mapg_jax.config import Config
+from mapg_jax.mapg import Hyperparameters, LearnerState, Mapg, Transition, kernel_l2, td_target
+
+M, B, D, A = 4, 12, 3, 2
+CLOSE = {"rtol": 1e-10, "atol": 1e-12}  # float64
+CONFIG = dataclasses.replace(
+    oracles.TINY,
+    heads=M,
+    actor_learning_rate=1e-2,
+    critic_learning_rate=1e-2,
+    tau=0.1,
+    discount=0.9,
+)
+
+
+RULES = [("stored", "mean"), ("resampled", "sampled"), ("all", "mean")]
+
+
+@pytest.fixture(autouse=True)
+def float64():
+    with jax.enable_x64(True):
+        yield
+
+
+@functools.cache
+def initial(heads: int, layer_norm: bool, padded_heads: int | None) -> LearnerState:
+    """Networks whose targets differ from them and whose outputs are not tiny, in float64."""
+    config = dataclasses.replace(CONFIG, heads=heads, layer_norm=layer_norm)
+    algorithm = make_agent(config, A, padded_heads).algorithm
+    with jax.enable_x64(False):
+        init = jax.jit(algorithm.init, static_argnums=1)
+        state, other = init(jax.random.key(0), D), init(jax.random.key(1), D)
+
+    def grown(params, factor):
+        last = {k: factor * params["params"][k] for k in ("kernel", "bias")}
+        return {"params": {**params["params"], **last}}
+
+    state = state.replace(
+        actor=grown(state.actor, 100.0),
+        critic=grown(state.critic, 100.0),
+        actor_target=grown(other.actor, 70.0),
+        critic_target=grown(other.critic, 130.0),
+    )
+    return jax.tree.map(lambda x: x.astype(jnp.float64) if x.dtype == jnp.float32 else x, state)
+
+
+def setup(
+    config: Config, padded_heads: int | None = None
+) -> tuple[Mapg, LearnerState, Hyperparameters]:
+    """The algorithm, its state and its numbers."""
+    algorithm = make_agent(config, A, padded_heads).algorithm
+    state = initial(config.heads, config.layer_norm, padded_heads)
+    state = state.replace(
+        actor_optimizer=algorithm.optimizer.init(state.actor),
+        critic_optimizer=algorithm.optimizer.init(state.critic),
+    )
+    names = set(vars(hyperparameters(config))) - {"heads"}
+    numbers = {name: jnp.float64(getattr(config, name)) for name in names}
+    return algorithm, state, Hyperparameters(heads=jnp.int32(config.heads), **numbers)
+
+
+def make_batch(heads, terminal=0.3, seed=0, size=B) -> Transition:
+    rng = np.random.default_rng(seed)
+    return Transition(
+        observation=jnp.asarray(rng.normal(size=(size, D))),
+        head=jnp.asarray(rng.choice(heads, size), jnp.uint8),
+        action=jnp.asarray(rng.uniform(-1, 1, (size, A))),
+        reward=jnp.asarray(rng.normal(size=size)),
+        terminal=jnp.asarray(rng.random(size) < terminal),
+        next_observation=jnp.asarray(rng.normal(size=(size, D))),
+    )
+
+
+def actor_gradient(config: Config, batch, key=None, padded_heads=None):
+    algorithm, state, hyper = setup(config, padded_heads)
+    key = jax.random.key(0) if key is None else key
+    return jax.grad(algorithm.actor_loss)(state.actor, state.critic, batch, hyper, key)
+
+
+def assert_close(got, expected, **tolerance):
+    compare = functools.partial(np.testing.assert_allclose, **(tolerance or CLOSE))
+    jax.tree.map(compare, got, expected)
+
+
+# ----- targets
+
+
+def test_td_target_is_the_one_step_return():
+    reward, discount, value = jnp.array([1.0, 2.0]), jnp.array([0.9, 0.0]), jnp.array([10.0, 7.0])
+    np.testing.assert_allclose(td_target(reward, discount, value), [10.0, 2.0], **CLOSE)
+
+
+def slow_next_values(algorithm, state, observation):
+    """Q'(s', ρ'_m(s')), one state and one head at a time, [B, M]."""
+    proposals = algorithm.proposals(state.actor_target, observation)
+    return np.array(
+        [
+            [algorithm.values(state.critic_target, s, a[None])[0] for a in actions]
+            for s, actions in zip(observation, proposals, strict=True)
+        ]
+    )
+
+
+def test_the_target_is_the_mean_over_the_heads_of_the_target_networks():
+    algorithm, state, hyper = setup(CONFIG)
+    observation = make_batch(range(M)).next_observation
+    value = algorithm.next_value(state, hyper, observation, jax.random.key(0))
+    expected = slow_next_values(algorithm, state, observation).mean(1)
+    np.testing.assert_allclose(value, expected, **CLOSE)
+
+
+def test_the_sampled_target_is_one_head_drawn_uniformly():
+    """Every value is one head's, and each head comes in its share: 6 standard errors of 1 / M."""
+    algorithm, state, hyper = setup(dataclasses.replace(CONFIG, target="sampled"))
+    observation = make_batch(range(M)).next_observation
+    keys = jax.random.split(jax.random.key(0), 500)
+    sampled = jax.vmap(lambda key: algorithm.next_value(state, hyper, observation, key))(keys)
+    values = slow_next_values(algorithm, state, observation)
+    distance = np.abs(np.asarray(sampled)[..., None] - values)  # [draws, B, M]
+    assert distance.min(-1).max() < 1e-12
+    share = np.bincount(distance.argmin(-1).ravel(), minlength=M) / (500 * B)
+    assert np.abs(share - 1 / M).max() < 6 * np.sqrt(1 / M * (1 - 1 / M) / (500 * B))
+
+
+@pytest.mark.parametrize("target", ["mean", "sampled"])
+def test_terminal_transitions_do_not_bootstrap(target):
+    """What comes after a terminal step changes nothing at all; after another step it does."""
+    algorithm, state, hyper = setup(dataclasses.replace(CONFIG, target=target))
+    update, key = jax.jit(algorithm.update), jax.random.key(0)
+    for terminal in (True, False):
+        batch = make_batch(range(M))._replace(terminal=jnp.full(B, terminal))
+        moved = batch._replace(next_observation=batch.next_observation + 1)
+        (one, _), (other, _) = update(state, hyper, batch, key), update(state, hyper, moved, key)
+        if terminal:
+            oracles.assert_equal(one, other)
+        else:
+            kernel, moved_kernel = (s.critic["params"]["kernel"] for s in (one, other))
+            assert not np.array_equal(kernel, moved_kernel)
+
+
+def test_the_critics_loss_is_squared_error_and_penalty():
+    algorithm, state, hyper = setup(CONFIG)
+    batch = make_batch(range(M))
+    target = jnp.linspace(-1, 1, B)
+    loss, q_mean = algorithm.critic_loss(state.critic, batch, target, hyper.critic_l2)
+    q = algorithm.values(state.critic, batch.observation, batch.action[:, None])[:, 0]
+    error = np.mean((np.asarray(target) - np.asarray(q)) ** 2)
+    without_penalty = float(loss - hyper.critic_l2 * kernel_l2(state.critic))
+    assert without_penalty == pytest.approx(error, rel=1e-10)
+    assert float(q_mean) == pytest.approx(np.mean(q), rel=1e-10)
+
+
+def test_the_penalty_counts_kernels_only():
+    """Its gradient is λW on every weight matrix and 0 on biases and layer norms."""
+    _, state, _ = setup(CONFIG)
+    gradient = jax.grad(kernel_l2)(state.critic)
+    leaves = jax.tree_util.tree_leaves_with_path(state.critic)
+    slopes = jax.tree.leaves(gradient)
+    free = 0
+    for (path, weights), slope in zip(leaves, slopes, strict=True):
+        name = path[-1].key
+        if name.endswith("bias") or name == "scale":
+            assert not slope.any()
+            free += 1
+        else:
+            np.testing.assert_array_equal(slope, weights)
+    assert free == 3 + 2 * 2  # two hidden biases and the last one; scale and shift of two norms
+
+
+# ----- gradients head by head
+
+
+def test_gradient_of_the_last_layer_is_zero_for_heads_that_did_not_act():
+    kernel, bias = oracles.last_layer(actor_gradient(CONFIG, make_batch([0, 2])), M)
+    for m in (1, 3):
+        assert not kernel[:, m].any()
+        assert not bias[m].any()
+    for m in (0, 2):
+        assert kernel[:, m].any()
+        assert bias[m].all()
+
+
+@pytest.mark.parametrize("m", range(M))
+def test_the_trunk_gets_the_gradient_of_the_head_that_acted(m):
+    """It is that of an actor with this head alone: DDPG's, for the samples of each head."""
+    batch = make_batch([m])
+    gradient = actor_gradient(CONFIG, batch)
+    single = dataclasses.replace(CONFIG, heads=1)
+    algorithm, _, hyper = setup(single)
+    _, state, _ = setup(CONFIG)
+    alone = jax.grad(algorithm.actor_loss)(
+        oracles.with_one_head(state.actor, M, m),
+        state.critic,
+        batch._replace(head=jnp.zeros(B, jnp.uint8)),
+        hyper,
+        jax.random.key(0),
+    )
+    assert_close(oracles.trunk(gradient), oracles.trunk(alone))
+    (kernel, bias), (kernel_alone, bias_alone) = (
+        oracles.last_layer(gradient, M),
+        oracles.last_layer(alone, 1),
+    )
+    assert_close((kernel[:, m], bias[m]), (kernel_alone[:, 0], bias_alone[0]))
+
+
+def test_all_is_the_mean_of_the_gradients_of_every_head():
+    batch = make_batch(range(M))
+    each = [
+        actor_gradient(CONFIG, batch._replace(head=jnp.full(B, m, jnp.uint8))) for m in range(M)
+    ]
+    expected = jax.tree.map(lambda *gradients: sum(gradients) / M, *each)
+    assert_close(actor_gradient(dataclasses.replace(CONFIG, gradient="all"), batch), expected)
+
+
+def test_resampled_heads_are_the_full_gradient_on_average():
+    """Over 2,000 draws, each coordinate within 6 of its standard errors; fixed keys."""
+    batch = make_batch(range(M))
+    config = dataclasses.replace(CONFIG, gradient="resampled")
+    keys = jax.random.split(jax.random.key(0), 2000)
+    draws = jax.jit(jax.vmap(lambda key: actor_gradient(config, batch, key)))(keys)
+    full = actor_gradient(dataclasses.replace(CONFIG, gradient="all"), batch)
+
+    def compare(draws, expected):
+        error = np.std(draws, axis=0) / np.sqrt(len(keys))
+        assert (np.abs(np.mean(draws, axis=0) - expected) <= 6 * error + 1e-12).all()
+
+    jax.tree.map(compare, draws, full)
+    assert np.std(draws["params"]["bias"], axis=0).all()  # draws, not the mean itself
+
+
+@pytest.mark.parametrize("gradient", ["resampled", "all"])
+def test_only_the_stored_rule_asks_who_acted(gradient):
+    batch = make_batch(range(M))
+    others = batch._replace(head=(batch.head + 1) % M)
+    config = dataclasses.replace(CONFIG, gradient=gradient)
+    oracles.assert_equal(actor_gradient(config, batch), actor_gradient(config, others))
+    stored, stored_others = actor_gradient(CONFIG, batch), actor_gradient(CONFIG, others)
+    kernel, other_kernel = (oracles.last_layer(g, M)[0] for g in (stored, stored_others))
+    assert not np.array_equal(kernel, other_kernel)
+
+
+# ----- the whole update
+
+
+@pytest.mark.parametrize(("gradient", "target"), RULES)
+def test_one_head_is_ddpg(gradient, target):
+    """Five updates against a DDPG written from its paper; with M = 1 all rules are one."""
+    config = dataclasses.replace(
+        CONFIG, heads=1, layer_norm=False, gradient=gradient, target=target
+    )
+    algorithm, state, hyper = setup(config)
+    ours = (oracles.ddpg_actor_parameters, oracles.ddpg_critic_parameters)
+    oracle = oracles.Ddpg(
+        *(read(params) for read, params in zip(ours, (state.actor, state.critic), strict=True)),
+        config,
+    )
+    oracle.actor_target = ours[0](state.actor_target)
+    oracle.critic_target = ours[1](state.critic_target)
+    update = jax.jit(algorithm.update)
+    for i in range(5):
+        batch = make_batch([0], seed=i)
+        state, _ = update(state, hyper, batch, jax.random.key(i))
+        oracle.update(
+            batch.observation, batch.action, batch.reward, batch.terminal, batch.next_observation
+        )
+    assert_close(ours[0](state.actor), oracle.actor)
+    assert_close(ours[1](state.critic), oracle.critic)
+    assert_close(ours[0](state.actor_target), oracle.actor_target)
+    assert_close(ours[1](state.critic_target), oracle.critic_target)
+
+
+@pytest.mark.parametrize(("gradient", "target"), RULES)
+def test_padding_heads_learns_the_same(gradient, target):
+    """M = 4 padded to 9: five updates agree, and heads past M keep their first values."""
+    padded = 9
+    config = dataclasses.replace(CONFIG, gradient=gradient, target=target)
+    states = []
+    for size in (None, padded):
+        algorithm, state, hyper = setup(config, size)
+        first, update = state, jax.jit(algorithm.update)
+        for i in range(5):
+            state, metrics = update(state, hyper, make_batch(range(M), seed=i), jax.random.key(i))
+        states.append((first, state, metrics))
+    (_, plain, plain_metrics), (first, wide, wide_metrics) = states
+
+    for name in ("actor", "actor_target"):
+        kernel, bias = oracles.last_layer(getattr(wide, name), padded)
+        mine = oracles.last_layer(getattr(plain, name), M)
+        assert_close((kernel[:, :M], bias[:M]), mine)
+        assert_close(oracles.trunk(getattr(wide, name)), oracles.trunk(getattr(plain, name)))
+    assert_close((wide.critic, wide.critic_target), (plain.critic, plain.critic_target))
+    assert_close(wide_metrics, plain_metrics)
+
+    kernel, bias = oracles.last_layer(wide.actor, padded)
+    first_kernel, first_bias = oracles.last_layer(first.actor, padded)
+    np.testing.assert_array_equal(kernel[:, M:], first_kernel[:, M:])
+    np.testing.assert_array_equal(bias[M:], first_bias[M:])
+
+
+def test_fresh_targets_are_the_networks_and_then_follow():
+    algorithm = make_agent(CONFIG, A).algorithm
+    state = algorithm.init(jax.random.key(1), D)
+    oracles.assert_equal(state.actor, state.actor_target)
+    oracles.assert_equal(state.critic, state.critic_target)
+
+    algorithm, state, hyper = setup(CONFIG)
+    after, _ = jax.jit(algorithm.update)(state, hyper, make_batch(range(M)), jax.random.key(0))
+    assert after.updates == state.updates + 1
+    for name in ("actor", "critic"):
+        before, online = getattr(state, name + "_target"), getattr(after, name)
+        blend = jax.tree.map(lambda x, y: 0.9 * x + 0.1 * y, before, online)  # τ = 0.1
+        assert_close(getattr(after, name + "_target"), blend)
+
+
+def test_gradients_are_scaled_down_to_the_norm():
+    """Adam's first moment after one update is a tenth of the gradient it was given."""
+    batch = make_batch(range(M))
+    given = []
+    for bound in (None, 0.01, 1e6):
+        config = dataclasses.replace(CONFIG, max_gradient_norm=bound)
+        algorithm, state, hyper = setup(config)
+        after, metrics = jax.jit(algorithm.update)(state, hyper, batch, jax.random.key(0))
+        moments = optax.tree_utils.tree_get(after.critic_optimizer, "mu")
+        given.append(10 * optax.tree.norm(moments))
+        assert metrics.critic_gradient_norm > 0.01  # as it was before
+    np.testing.assert_allclose(given, [metrics.critic_gradient_norm, 0.01, given[0]], rtol=1e-7)
