@@ -98,7 +98,7 @@ class Episodes(Wrapper):
         return state.replace(info={**state.info, **info})
 
     def step(self, state: State, action: Action) -> State:
-        nstate = self.env.step(state, action)
+        nstate = self.env.step(state, jnp.asarray(action))
         steps = state.info["steps"] + 1
         terminated = nstate.done > 0.5
         truncated = steps >= self.time_limit

@@ -1,16 +1,20 @@
 """Pendulum: a torque-limited pendulum to be swung up and held upright; Gymnasium's, in JAX."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, UInt32
+from jaxtyping import Array, Float32, Float64
 
 from envs.base import Action, Env, State
 
 DT, MASS, LENGTH = 0.05, 1.0, 1.0  # s, kg, m
 MAX_SPEED = 8.0  # rad/s
 MAX_TORQUE = np.float32(2.0)  # N m
-START = np.float32([np.pi, 1.0])  # rad, rad/s: angle and speed start uniform within ±START
+START = np.array(
+    [np.pi, 1.0], np.float32
+)  # rad, rad/s: angle and speed start uniform within ±START
 
 
 class Pendulum(Env):
@@ -58,7 +62,7 @@ class Pendulum(Env):
     def step(self, state: State, action: Action) -> State:
         torque = (jnp.clip(action.astype(jnp.float32), -1.0, 1.0) * MAX_TORQUE)[0]
         with jax.enable_x64(True):
-            theta, theta_dot = jax.lax.bitcast_convert_type(state.pipeline_state, jnp.float64)
+            theta, theta_dot = _from_bits(state.pipeline_state)
             angle = (theta + np.pi) % (2 * np.pi) - np.pi
             cost = angle**2 + 0.1 * theta_dot**2 + 0.001 * torque**2
             gravity = 3 * self.g / (2 * LENGTH) * jnp.sin(theta)
@@ -73,10 +77,14 @@ class Pendulum(Env):
             )
 
 
-def _to_bits(values: Float[Array, "2"]) -> UInt32[Array, "2 2"]:
+def _to_bits(values: Float64[Array, "2"]) -> Any:
     return jax.lax.bitcast_convert_type(values, jnp.uint32)
 
 
-def _observation(values: Float[Array, "2"]) -> Float[Array, "3"]:
+def _from_bits(bits: Any) -> Float64[Array, "2"]:
+    return jax.lax.bitcast_convert_type(bits, jnp.float64)
+
+
+def _observation(values: Float64[Array, "2"]) -> Float32[Array, "3"]:
     theta, theta_dot = values
     return jnp.stack([jnp.cos(theta), jnp.sin(theta), theta_dot]).astype(jnp.float32)

@@ -29,14 +29,14 @@ def _plane_capsule(
     """Distances, positions and frames of two contacts a pair, as MJX's table of colliders wants."""
     distance, position, frame = _mjx_plane_capsule(model, data, key, geoms)
     normal = frame[:, 0]
-    axis = jnp.repeat(data.geom_xmat[geoms[:, 1], :, 2], _plane_capsule.ncon, axis=0)
+    axis = jnp.repeat(data.geom_xmat[geoms[:, 1], :, 2], _mjx_plane_capsule.ncon, axis=0)
     along = axis - normal * (normal * axis).sum(-1, keepdims=True)
     length = jnp.linalg.norm(along, axis=-1, keepdims=True)
     along = jnp.where(length > MIN_LENGTH, along / jnp.maximum(length, MIN_LENGTH), frame[:, 1])
     return distance, position, jnp.stack([normal, along, jnp.cross(normal, along)], 1)
 
 
-_plane_capsule.ncon = _mjx_plane_capsule.ncon
+_plane_capsule.ncon = _mjx_plane_capsule.ncon  # pyright: ignore[reportFunctionMemberAccess]
 
 
 @contextlib.contextmanager

@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from envs.mujoco_tasks.task import MujocoTask, uniform_offset
+from envs.mujoco_tasks.task import MujocoTask, uniform
 
 ARM = 7  # joints; x and y of the object follow, then x and y of the goal
-OBJECT_LOW, OBJECT_HIGH = np.float32([-0.3, -0.2]), np.float32([0.0, 0.2])  # m
+OBJECT_LOW = np.array([-0.3, -0.2], np.float32)  # m
+OBJECT_HIGH = np.array([0.0, 0.2], np.float32)  # m
 MIN_DISTANCE = 0.17  # of object and goal at the start, m
 START_VELOCITY = 0.005  # rad/s
 
@@ -41,7 +42,7 @@ class Pusher(MujocoTask):
 
     def start_offset(self, key):
         object_key, velocity_key = jax.random.split(key)
-        (velocities,) = uniform_offset(velocity_key, START_VELOCITY, ARM)
+        velocities = uniform(velocity_key, START_VELOCITY, ARM)
         return (
             jnp.concatenate([jnp.zeros(ARM), _object_position(object_key), jnp.zeros(2)]),
             jnp.concatenate([velocities, jnp.zeros(4)]),
@@ -80,8 +81,8 @@ def _object_position(key: jax.Array) -> jax.Array:
     """Uniform in the rectangle without the disc round the goal: draw until it is outside, [2] m."""
 
     def draw(number):
-        position = jax.random.uniform(jax.random.fold_in(key, number), (2,))
-        return OBJECT_LOW + (OBJECT_HIGH - OBJECT_LOW) * position
+        key_of_draw = jax.random.fold_in(key, number)
+        return jax.random.uniform(key_of_draw, (2,), minval=OBJECT_LOW, maxval=OBJECT_HIGH)
 
     def too_near(number):
         return jnp.linalg.norm(draw(number)) <= MIN_DISTANCE

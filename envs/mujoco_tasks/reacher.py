@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from envs.mujoco_tasks.task import MujocoTask, uniform_offset
+from envs.mujoco_tasks.task import MujocoTask, uniform
 
 MAX_TARGET_RADIUS = 0.2  # m
 START_ANGLE, START_VELOCITY = 0.1, 0.005  # rad, rad/s
@@ -37,8 +37,8 @@ class Reacher(MujocoTask):
 
     def start_offset(self, key):
         angle_key, velocity_key, radius_key, direction_key = jax.random.split(key, 4)
-        (angles,) = uniform_offset(angle_key, START_ANGLE, 2)
-        (velocities,) = uniform_offset(velocity_key, START_VELOCITY, 2)
+        angles = uniform(angle_key, START_ANGLE, 2)
+        velocities = uniform(velocity_key, START_VELOCITY, 2)
         # The area of a disc grows with the square of its radius.
         radius = MAX_TARGET_RADIUS * jnp.sqrt(jax.random.uniform(radius_key))
         direction = jax.random.uniform(direction_key, maxval=2 * np.pi)

@@ -2,21 +2,21 @@
 
 import dataclasses
 import functools
-import importlib.util
 import pathlib
 import warnings
 from typing import Any, ClassVar
 
+import gymnasium
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 Array = Any
 """A NumPy float64 array with leading batch axes (native), or a JAX array of one instance (MJX)."""
 
-GYMNASIUM = importlib.util.find_spec("gymnasium")  # found, not imported: only its models are used
-ASSETS = pathlib.Path(GYMNASIUM.origin).parent / "envs" / "mujoco" / "assets"
+ASSETS = pathlib.Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
 
 
 class Physics:
@@ -130,19 +130,22 @@ def plane_metrics(xp, position: Array, velocity: Array) -> dict[str, Array]:
     }
 
 
-def uniform_offset(key: jax.Array, scale: float, *sizes: int) -> tuple[jax.Array, ...]:
-    """Independent uniform draws in ±scale, one vector a size."""
-    keys = jax.random.split(key, len(sizes))
-    return tuple(
-        jax.random.uniform(k, (n,), jnp.float32, -scale, scale)
-        for k, n in zip(keys, sizes, strict=True)
-    )
+def uniform(key: jax.Array, scale: float, size: int) -> Float[jax.Array, "size"]:
+    """Independent draws within ±scale."""
+    return jax.random.uniform(key, (size,), jnp.float32, -scale, scale)
+
+
+def uniform_offset(
+    key: jax.Array, scale: float, nq: int, nv: int
+) -> tuple[Float[jax.Array, "nq"], Float[jax.Array, "nv"]]:
+    """Positions and velocities uniform within ±scale."""
+    qpos_key, qvel_key = jax.random.split(key)
+    return uniform(qpos_key, scale, nq), uniform(qvel_key, scale, nv)
 
 
 def uniform_and_normal_offset(
     key: jax.Array, scale: float, nq: int, nv: int
-) -> tuple[jax.Array, jax.Array]:
-    """Positions uniform in ±scale, velocities normal with standard deviation `scale`."""
+) -> tuple[Float[jax.Array, "nq"], Float[jax.Array, "nv"]]:
+    """Positions uniform within ±scale, velocities normal with standard deviation `scale`."""
     qpos_key, qvel_key = jax.random.split(key)
-    (qpos,) = uniform_offset(qpos_key, scale, nq)
-    return qpos, scale * jax.random.normal(qvel_key, (nv,), jnp.float32)
+    return uniform(qpos_key, scale, nq), scale * jax.random.normal(qvel_key, (nv,), jnp.float32)
