@@ -1,7 +1,7 @@
-"""The table of the README: DDPG (M = 1) and MAPG (M = 10) on three tasks, several seeds.
+"""DDPG (M = 1) and MAPG (M = 10) on three tasks, several seeds: the tables of README and docs.
 
     python -m experiments.headline --workers 2    # runs what results/headline.csv lacks
-    python -m experiments.headline --table        # prints the table
+    python -m experiments.headline --tables       # writes the tables into README.md and docs/paper.md
 
 A run that was cut off goes on from its checkpoint. What is written is what the runs wrote.
 """
@@ -11,9 +11,11 @@ import concurrent.futures
 import csv
 import json
 import pathlib
+import re
 import subprocess
 import sys
 import threading
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,52 +25,75 @@ from mapg_jax.tracking import read_metrics
 RESULTS = pathlib.Path("results/headline.csv")
 CURVES = pathlib.Path("results/headline_curves.csv")
 CURVE_COLUMNS = ("env_steps", "return_mean", "spread", "q_gap_relative", "critic_loss", "q_mean")
-TASKS = {"pendulum": 100_000, "hopper": 2_000_000, "halfcheetah": 2_000_000}
+STEPS = {"pendulum": 100_000, "hopper": 2_000_000, "halfcheetah": 2_000_000}
+ONE_ENVIRONMENT_STEPS = {"pendulum": 100_000, "halfcheetah": 500_000}
 HEADS = (1, 10)
 _writing = threading.Lock()
 
 
-def cells(seeds: int) -> list[tuple[str, int, int]]:
-    """(env, heads, seed), in an order that is useful wherever it stops."""
-    return [(env, m, seed) for seed in range(seeds) for env in TASKS for m in HEADS]
+class Cell(NamedTuple):
+    """One run."""
+
+    env: str
+    heads: int
+    environments: int
+    seed: int
+    steps: int
+
+    @property
+    def folder(self) -> pathlib.Path:
+        name = f"{self.env}-m{self.heads}-n{self.environments}-s{self.seed}"
+        return pathlib.Path("runs/headline") / name
 
 
-def finished() -> set[tuple[str, int, int]]:
-    """The cells that the results hold."""
-    if not RESULTS.exists():
-        return set()
-    with RESULTS.open(newline="") as file:
-        return {(r["env"], int(r["heads"]), int(r["seed"])) for r in csv.DictReader(file)}
+def cells(seeds: int) -> list[Cell]:
+    """All runs, in an order that is useful wherever it stops."""
+    found = []
+    for seed in range(seeds):
+        found += [Cell(env, m, 16, seed, steps) for env, steps in STEPS.items() for m in HEADS]
+        found += [Cell(env, 10, 1, seed, steps) for env, steps in ONE_ENVIRONMENT_STEPS.items()]
+    return found
 
 
-def run(cell: tuple[str, int, int]) -> None:
+def read(path: pathlib.Path) -> list[dict[str, str]]:
+    """The rows of a CSV file; none if there is no file."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def run(cell: Cell) -> None:
     """Trains, or goes on with, one cell in a process of its own, and records it."""
-    env, m, seed = cell
-    path = pathlib.Path(f"runs/headline/{env}-m{m}-s{seed}")
-    if path.exists():
-        arguments = ["resume", str(path)]
+    if cell.folder.exists():
+        arguments = ["resume", str(cell.folder)]
     else:
-        arguments = ["train", "--env", env, "--heads", str(m), "--seed", str(seed)]
-        arguments += ["--steps", str(TASKS[env]), "--out", str(path)]
+        arguments = ["train", "--env", cell.env, "--heads", str(cell.heads)]
+        arguments += ["--environments", str(cell.environments), "--seed", str(cell.seed)]
+        arguments += ["--steps", str(cell.steps), "--out", str(cell.folder)]
     done = subprocess.run([sys.executable, "-m", "mapg_jax", *arguments], capture_output=True)
     if done.returncode:
-        print(f"{path} failed:\n{done.stderr.decode()[-2000:]}", file=sys.stderr)
+        print(f"{cell.folder} failed:\n{done.stderr.decode()[-2000:]}", file=sys.stderr)
         return
     with _writing:
-        record(cell, RunFolder.open(path))
+        record(cell)
 
 
-def record(cell: tuple[str, int, int], folder: RunFolder) -> None:
+def record(cell: Cell) -> None:
     """Appends the run's score and curve to the results."""
-    env, m, seed = cell
+    folder = RunFolder.open(cell.folder)
     score = json.loads(folder.evaluation.read_text())
     rows = read_metrics(folder.metrics)
     written = json.loads((folder.path / "config.json").read_text())
+    key = {
+        "env": cell.env,
+        "algorithm": "ddpg" if cell.heads == 1 else "mapg",
+        "heads": cell.heads,
+        "environments": cell.environments,
+        "seed": cell.seed,
+    }
     result = {
-        "env": env,
-        "algorithm": "ddpg" if m == 1 else "mapg",
-        "heads": m,
-        "seed": seed,
+        **key,
         "steps": int(rows[-1]["env_steps"]),
         "return_mean": score["mean"],
         "return_std": score["std"],
@@ -78,9 +103,8 @@ def record(cell: tuple[str, int, int], folder: RunFolder) -> None:
         "packages": " ".join(f"{k}={v}" for k, v in written["packages"].items() if v),
     }
     append(RESULTS, [result])
-    keys = {"env": env, "heads": m, "seed": seed}
-    append(CURVES, [{**keys, **{c: f"{row[c]:.6g}" for c in CURVE_COLUMNS}} for row in rows])
-    print(f"{env} M={m} seed {seed}: {score['mean']:.1f} ± {score['std']:.1f}", flush=True)
+    append(CURVES, [{**key, **{c: f"{row[c]:.6g}" for c in CURVE_COLUMNS}} for row in rows])
+    print(f"{cell}: {score['mean']:.1f} ± {score['std']:.1f}", flush=True)
 
 
 def append(path: pathlib.Path, rows: list[dict]) -> None:
@@ -94,40 +118,70 @@ def append(path: pathlib.Path, rows: list[dict]) -> None:
         writer.writerows(rows)
 
 
-def table() -> str:
-    """Mean over seeds of the runs' scores, with the lowest and highest seed."""
-    with RESULTS.open(newline="") as file:
-        rows = list(csv.DictReader(file))
+def over_seeds(scores: list[float]) -> str:
+    """Mean, lowest and highest, and how many."""
+    if not scores:
+        return "missing"
+    return f"{np.mean(scores):.0f} ({min(scores):.0f} to {max(scores):.0f}; {len(scores)} seeds)"
+
+
+def headline_table() -> str:
+    """Scores of the finished runs with 16 environments."""
+    rows = [row for row in read(RESULTS) if row["environments"] == "16"]
     lines = [
-        "| task | steps | DDPG (M = 1) | MAPG (M = 10) | seeds | wall time a run |",
-        "|---|---|---|---|---|---|",
+        "| task | steps | DDPG (M = 1) | MAPG (M = 10) | wall time a run |",
+        "|---|---|---|---|---|",
     ]
-    for env, steps in TASKS.items():
-        cells, seeds, minutes = [], [], []
-        for m in HEADS:
-            of_cell = [r for r in rows if r["env"] == env and int(r["heads"]) == m]
-            scores = [float(r["return_mean"]) for r in of_cell]
-            seeds.append(str(len(scores)))
-            minutes += [float(r["seconds"]) / 60 for r in of_cell]
-            text = f"{np.mean(scores):.0f} ({min(scores):.0f} to {max(scores):.0f})"
-            cells.append(text if scores else "missing")
-        counts = seeds[0] if seeds[0] == seeds[1] else " and ".join(seeds)
+    for env, steps in STEPS.items():
+        of_env = [row for row in rows if row["env"] == env]
+        scores = [
+            over_seeds([float(r["return_mean"]) for r in of_env if r["heads"] == str(m)])
+            for m in HEADS
+        ]
+        minutes = [float(row["seconds"]) / 60 for row in of_env]
         time = f"{np.median(minutes):.1f} min" if minutes else "missing"
-        lines.append(f"| {env} | {steps:,} | {' | '.join(cells)} | {counts} | {time} |")
+        lines.append(f"| {env} | {steps:,} | {' | '.join(scores)} | {time} |")
     return "\n".join(lines)
+
+
+def one_environment_table() -> str:
+    """The last evaluations with one environment, beside those at the same step with sixteen."""
+    rows = [row for row in read(CURVES) if row["heads"] == "10"]
+    lines = ["| task, M = 10 | steps | 1 environment | 16 environments |", "|---|---|---|---|"]
+    for env, steps in ONE_ENVIRONMENT_STEPS.items():
+        at_end = [r for r in rows if r["env"] == env and float(r["env_steps"]) == steps]
+        texts = [
+            over_seeds([float(r["return_mean"]) for r in at_end if r["environments"] == n])
+            for n in ("1", "16")
+        ]
+        lines.append(f"| {env} | {steps:,} | {' | '.join(texts)} |")
+    return "\n".join(lines)
+
+
+def insert(path: pathlib.Path, name: str, text: str) -> None:
+    """Replaces what stands between a page's two comments of that name."""
+    begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+    page = path.read_text()
+    if begin not in page or end not in page:
+        raise ValueError(f"{path} lacks {begin} and {end}")
+    pattern = re.escape(begin) + ".*" + re.escape(end)
+    path.write_text(re.sub(pattern, lambda _: f"{begin}\n{text}\n{end}", page, flags=re.DOTALL))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--workers", type=int, default=1, help="runs side by side")
-    parser.add_argument("--seeds", type=int, default=5, help="seeds a cell")
-    parser.add_argument("--table", action="store_true", help="print the table and stop")
+    parser.add_argument("--seeds", type=int, default=3, help="seeds a cell")
+    parser.add_argument("--tables", action="store_true", help="only write the tables")
     arguments = parser.parse_args()
-    if not arguments.table:
-        waiting = [cell for cell in cells(arguments.seeds) if cell not in finished()]
+    if not arguments.tables:
+        keys = ("env", "heads", "environments", "seed")
+        done = {tuple(row[k] for k in keys) for row in read(RESULTS)}
+        waiting = [c for c in cells(arguments.seeds) if tuple(map(str, c[:4])) not in done]
         with concurrent.futures.ThreadPoolExecutor(arguments.workers) as pool:
             list(pool.map(run, waiting))
-    print(table())
+    insert(pathlib.Path("README.md"), "headline", headline_table())
+    insert(pathlib.Path("docs/paper.md"), "one environment", one_environment_table())
 
 
 if __name__ == "__main__":
