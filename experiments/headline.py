@@ -1,7 +1,7 @@
 """DDPG (M = 1) and MAPG (M = 10) on three tasks, several seeds: the tables of README and docs.
 
     python -m experiments.headline --workers 2    # runs what results/headline.csv lacks
-    python -m experiments.headline --tables       # writes the tables into README.md and docs/paper.md
+    python -m experiments.headline --tables       # writes the tables into the README and the docs
 
 A run that was cut off goes on from its checkpoint. What is written is what the runs wrote.
 """
