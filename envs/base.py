@@ -105,12 +105,12 @@ class Episodes(Wrapper):
         ended = terminated | truncated
         episode = state.info["episode"] + ended
 
-        own = self._own_info(nstate.info)
-        pipeline_state, obs, fresh = where_ended(
-            functools.partial(self._start, tuple(own)),
+        own_info = {name: nstate.info[name] for name in self._own_info}
+        pipeline_state, obs, own_info = where_ended(
+            self._start,
             ended,
             (state.info["key"], episode),
-            (nstate.pipeline_state, nstate.obs, own),
+            (nstate.pipeline_state, nstate.obs, own_info),
         )
         info = {
             "terminated": terminated,
@@ -124,18 +124,18 @@ class Episodes(Wrapper):
             pipeline_state=pipeline_state,
             obs=obs,
             done=ended.astype(nstate.done.dtype),
-            info={**nstate.info, **fresh, **info},
+            info={**nstate.info, **own_info, **info},
         )
 
-    def _start(self, info_keys: tuple[str, ...], key_and_episode):
-        key, episode = key_and_episode
-        state = self.env.reset(jax.random.fold_in(key, episode))
-        return state.pipeline_state, state.obs, {k: state.info[k] for k in info_keys}
+    def _start(self, key_and_episode: tuple[jax.Array, jax.Array]):
+        """What the start of an episode replaces of the state that ended the one before."""
+        state = self.env.reset(jax.random.fold_in(*key_and_episode))
+        return state.pipeline_state, state.obs, {name: state.info[name] for name in self._own_info}
 
-    def _own_info(self, info: dict) -> dict:
+    @functools.cached_property
+    def _own_info(self) -> tuple[str, ...]:
         """The entries that the environment itself writes: a reset renews these and no wrapper's."""
-        shapes = jax.eval_shape(self.env.reset, jax.random.key(0))
-        return {k: info[k] for k in shapes.info}
+        return tuple(jax.eval_shape(self.env.reset, jax.random.key(0)).info)
 
 
 def with_episodes(env: Env, time_limit: int) -> Episodes:

@@ -10,9 +10,9 @@ from envs.mujoco_tasks.task import MujocoTask, flat, uniform_offset
 class HumanoidBody(MujocoTask):
     """A humanoid of 13 bodies, 17 motors and two tendons, from hip to knee; see its subclasses.
 
-    The observation, in order: positions without x and y [22], velocities [23], and of the bodies'
-    subtrees inertia and mass about the centre of mass (`cinert`) [130] and velocity (`cvel`) [78],
-    actuator torques (N m) [17], contact torque (N m) and force (N) on each body [78].
+    The observation, in order: positions without x and y [22], velocities [23]; of each body inertia
+    and mass about the robot's centre of mass (`cinert`) [130] and velocity there (`cvel`) [78]; the
+    motors' torques (N m) [17]; contact torque (N m) and force (N) on each body [78].
     """
 
     fields: ClassVar[tuple[str, ...]] = (

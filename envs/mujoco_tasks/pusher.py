@@ -9,9 +9,9 @@ import numpy as np
 
 from envs.mujoco_tasks.task import MujocoTask, uniform
 
-ARM = 7  # joints; x and y of the object follow, then x and y of the goal
-OBJECT_LOW = np.array([-0.3, -0.2], np.float32)  # m
-OBJECT_HIGH = np.array([0.0, 0.2], np.float32)  # m
+ARM = 7  # joints; y and x of the object follow, then those of the goal
+OBJECT_LOW = np.array([-0.3, -0.2], np.float32)  # y and x from the goal, m
+OBJECT_HIGH = np.array([0.0, 0.2], np.float32)
 MIN_DISTANCE = 0.17  # of object and goal at the start, m
 START_VELOCITY = 0.005  # rad/s
 
@@ -78,7 +78,7 @@ class Pusher(MujocoTask):
 
 
 def _object_position(key: jax.Array) -> jax.Array:
-    """Uniform in the rectangle without the disc round the goal: draw until it is outside, [2] m."""
+    """y and x, [2] m: uniform in the rectangle, drawn until outside the disc round the goal."""
 
     def draw(number):
         key_of_draw = jax.random.fold_in(key, number)

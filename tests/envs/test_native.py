@@ -138,7 +138,7 @@ def test_humanoid_with_constant_zeros_observes_what_gymnasiums_v4_did(random_sta
         np.testing.assert_array_equal(states.obs[t], observation.astype(np.float32))
 
 
-@pytest.mark.parametrize("name", ["halfcheetah", "ant"])
+@pytest.mark.parametrize("name", ["halfcheetah", "ant", "humanoid"])
 def test_a_batch_steps_every_instance_as_if_alone(name, random_state):
     env = make(name, "native")
     rng = np.random.default_rng(6)
