@@ -7,7 +7,7 @@ import os
 import pathlib
 import sys
 from collections.abc import Callable
-from typing import Annotated, Literal, TextIO
+from typing import Literal, TextIO
 
 import jax
 import rich.console
@@ -156,29 +156,28 @@ def own_stdout():
             os.dup2(ours, 1)
 
 
+COMMANDS = {"train": Train, "resume": Resume, "evaluate": Evaluate, "envs": Envs}
+
+
 def _parse(arguments: list[str]):
-    preset = PRESETS.get(_named_preset(arguments), PRESETS["paper"])
-    train = tyro.conf.subcommand("train", default=Train(preset))
-    union = (
-        Annotated[Train, train]
-        | Annotated[Resume, tyro.conf.subcommand("resume")]
-        | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
-        | Annotated[Envs, tyro.conf.subcommand("envs")]
+    # One command at a time: tyro's messages then name flags as the user wrote them.
+    name, *flags = arguments or ["--help"]
+    if name in COMMANDS:
+        default = {"default": Train(PRESETS[_named_preset(flags)])} if name == "train" else {}
+        return tyro.cli(COMMANDS[name], prog=f"mapg {name}", args=flags, **default)
+    description = "Multiple Action Policy Gradients. Each command has its own --help."
+    return tyro.extras.subcommand_cli_from_dict(
+        COMMANDS, prog="mapg", description=description, args=[name]
     )
-    try:
-        return tyro.cli(
-            union, prog="mapg", description="Multiple Action Policy Gradients.", args=arguments
-        )
-    except ValueError as error:  # raised by Config
-        sys.exit(_complain(str(error), 2))
 
 
-def _named_preset(arguments: list[str]) -> str:
-    """The value of --preset: the flags' defaults depend on it."""
-    for i, argument in enumerate(arguments):
-        name, equals, value = argument.partition("=")
+def _named_preset(flags: list[str]) -> str:
+    """The value of --preset: the other flags' defaults depend on it. Unknown ones tyro refuses."""
+    for flag, following in zip(flags, [*flags[1:], ""], strict=True):
+        name, equals, value = flag.partition("=")
         if name == "--preset":
-            return value if equals else "".join(arguments[i + 1 : i + 2])
+            value = value if equals else following
+            return value if value in PRESETS else "paper"
     return "paper"
 
 
