@@ -25,8 +25,8 @@ from mapg_jax.tracking import read_metrics
 RESULTS = pathlib.Path("results/headline.csv")
 CURVES = pathlib.Path("results/headline_curves.csv")
 CURVE_COLUMNS = ("env_steps", "return_mean", "spread", "q_gap_relative", "critic_loss", "q_mean")
-STEPS = {"pendulum": 100_000, "hopper": 2_000_000, "halfcheetah": 2_000_000}
-ONE_ENVIRONMENT_STEPS = {"pendulum": 100_000, "halfcheetah": 500_000}
+STEPS = {"pendulum": 100_000, "hopper": 600_000, "halfcheetah": 600_000}
+ONE_ENVIRONMENT_STEPS = {"pendulum": 100_000, "halfcheetah": 300_000}
 HEADS = (1, 10)
 _writing = threading.Lock()
 
@@ -171,7 +171,7 @@ def insert(path: pathlib.Path, name: str, text: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--workers", type=int, default=1, help="runs side by side")
-    parser.add_argument("--seeds", type=int, default=3, help="seeds a cell")
+    parser.add_argument("--seeds", type=int, default=5, help="seeds a cell")
     parser.add_argument("--tables", action="store_true", help="only write the tables")
     arguments = parser.parse_args()
     if not arguments.tables:
