@@ -199,7 +199,7 @@ class Run:
         return jax.jit(
             functools.partial(
                 play,
-                self.trainer.env.unwrapped,
+                self.trainer.env.env,
                 self.trainer.agent,
                 episodes=self.config.evaluation_episodes,
                 time_limit=self.trainer.env.time_limit,

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from envs.base import Env, State, with_episodes
-from mapg_jax.agent import make_agent
+from mapg_jax.agent import Agent, make_agent
 from mapg_jax.config import Config
-from mapg_jax.mapg import Transition
+from mapg_jax.mapg import Transition, UpdateMetrics
 from mapg_jax.training import Trainer, TrainState
 
 # ----- tiny environments
@@ -104,6 +104,15 @@ TINY = Config(
     learning_starts=16,
 )
 """A run that compiles and goes fast; its environment is given to `make_trainer`."""
+
+
+class CountingAgent(Agent):
+    """Counts its updates, and does nothing else in them."""
+
+    def learn(self, state, batch, key):
+        learner = state.learner.replace(updates=state.learner.updates + 1)
+        zeros = (jnp.zeros(()) for _ in UpdateMetrics._fields)
+        return state.replace(learner=learner), UpdateMetrics(*zeros)
 
 
 def make_trainer(env: Env, time_limit: int, config: Config, padded_heads: int | None = None):

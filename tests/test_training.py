@@ -1,0 +1,332 @@
+"""The loop: what is stored, how often it learns, that chunks change nothing, and what it learns."""
+
+import dataclasses
+import functools
+from fractions import Fraction
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import oracles
+import pytest
+from jax import export
+
+from mapg_jax import heads
+from mapg_jax.config import PRESETS
+from mapg_jax.training import Trainer, make_trainer, run_keys, state_bytes
+
+TIME_LIMIT = 5
+LIGHT = dataclasses.replace(oracles.TINY, hidden=(4, 4), layer_norm=False, normalize=False)
+
+
+@functools.cache
+def random_length(**changes) -> Trainer:
+    """Compiled once for the tests that share it."""
+    config = dataclasses.replace(oracles.TINY, **changes)
+    return oracles.make_trainer(oracles.RandomLength(), TIME_LIMIT, config)
+
+
+def untrained() -> Trainer:
+    """One that acts without noise, normalisation or learning."""
+    return random_length(noise="none", learning_starts=10_000, normalize=False)
+
+
+def run(trainer: Trainer, turns: int, seed: int = 0):
+    return trainer.jitted_run(trainer.jitted_init(seed), turns)
+
+
+# ----- collecting
+
+
+@pytest.mark.parametrize("truncation", ["bootstrap", "terminal"])
+def test_stored_transitions_are_the_environments(truncation):
+    """RandomLength shows the steps left, so each stored row can be checked on its own."""
+    trainer = random_length(truncation=truncation, noise="none")
+    state = run(trainer, 40)
+    n = trainer.config.environments
+    rows = jax.tree.map(
+        lambda x: x.reshape(-1, n, *x.shape[1:]), oracles.stored(state)
+    )  # [T, N, ...]
+    left, worth = rows.observation[..., 0], rows.observation[..., 1]
+    np.testing.assert_allclose(rows.reward, left * worth + rows.action[..., 0], rtol=1e-6)
+    np.testing.assert_array_equal(rows.next_observation[..., 0], left - 1)
+    np.testing.assert_array_equal(rows.next_observation[..., 1], worth)
+
+    steps = np.zeros(n, int)
+    kinds = set()
+    for t in range(40):
+        steps += 1
+        terminated, truncated = left[t] == 1, steps == TIME_LIMIT
+        expected = terminated | truncated if truncation == "terminal" else terminated
+        np.testing.assert_array_equal(rows.terminal[t], expected)
+        ended = terminated | truncated
+        if t + 1 < 40:  # what follows: the next step, or a fresh start
+            same = np.all(rows.observation[t + 1] == rows.next_observation[t], axis=-1)
+            np.testing.assert_array_equal(same, ~ended)
+        steps[ended] = 0
+        kinds |= set(zip(terminated.tolist(), truncated.tolist(), strict=True))
+    assert kinds == {(False, False), (True, False), (False, True), (True, True)}
+
+
+def test_actions_are_the_drawn_heads_proposals():
+    """Before the first update the actor is the initial one, so all proposals can be known."""
+    trainer = untrained()
+    rows = oracles.stored(run(trainer, 40))
+    agent = trainer.jitted_init(0).agent
+    proposals = trainer.agent.proposals(agent, jnp.asarray(rows.observation))
+    expected = np.asarray(proposals)[np.arange(len(rows.head)), rows.head]
+    # A batch of 4 and one of 160 may round differently, and proposals are near 1e-3.
+    np.testing.assert_allclose(rows.action, expected, atol=1e-6)
+    assert set(rows.head) == {0, 1, 2}
+
+
+def test_noise_is_added_before_the_clip_and_grows_along_the_ladder():
+    trainer = random_length(
+        noise="gaussian", noise_scale=0.05, noise_scale_last=8.0, learning_starts=10_000
+    )
+    state = run(trainer, 40)
+    np.testing.assert_allclose(state.noise_scale[:, 0], np.linspace(0.05, 8.0, 4), rtol=1e-6)
+    actions = oracles.stored(state).action.reshape(-1, 4)
+    assert np.abs(actions).max() == 1.0  # σ = 8 is clipped
+    deviation = actions.std(0)
+    assert (np.diff(deviation) > 0).all()
+    # 40 draws of σ = 0.05: the deviation within 5 of its standard errors, σ / √(2 · 40).
+    assert abs(deviation[0] - 0.05) < 5 * 0.05 / np.sqrt(80)
+
+
+def test_noise_restarts_with_each_episode():
+    trainer = random_length()
+    assert trainer.config.noise == "ou"
+    state = run(trainer, 1)
+    ends = starts = 0
+    for _ in range(40):
+        ended = np.asarray(state.env.done) == 1
+        assert not np.asarray(state.noise)[ended].any()
+        assert np.asarray(state.noise)[~ended].all()
+        ends, starts = ends + ended.sum(), starts + (~ended).sum()
+        state = trainer.jitted_run(state, 1)
+    assert ends > 20
+    assert starts > 20
+
+
+def test_finished_episodes_are_counted():
+    """Totals against a slow loop over the stored rows."""
+    trainer = random_length(noise="none")
+    state = run(trainer, 40)
+    n = trainer.config.environments
+    rows = oracles.stored(state)
+    returns, lengths = [], []
+    for i in range(n):
+        total, length = 0.0, 0
+        for reward, left in zip(rows.reward[i::n], rows.next_observation[i::n, 0], strict=True):
+            total, length = total + reward, length + 1
+            if left == 0 or length == TIME_LIMIT:
+                returns.append(total)
+                lengths.append(length)
+                total, length = 0.0, 0
+    assert state.totals.episodes == len(returns) > 20
+    assert state.totals.episode_length == sum(lengths)
+    np.testing.assert_allclose(state.totals.episode_return, sum(returns), rtol=1e-5)  # float32
+
+
+def test_the_normaliser_has_seen_what_the_agent_acted_on():
+    trainer = random_length(noise="none")
+    state = run(trainer, 40)
+    seen = oracles.stored(state).observation.astype(np.float64)
+    assert state.agent.normalizer.count == len(seen)
+    np.testing.assert_allclose(state.agent.normalizer.mean, seen.mean(0), rtol=1e-5)
+    off = run(untrained(), 40)
+    assert off.agent.normalizer.count == 0
+
+
+# ----- how often it learns
+
+
+@pytest.mark.parametrize(
+    ("ratio", "environments", "learning_starts"),
+    [
+        (0.5, 1, 7),
+        (0.5, 16, 100),
+        (1 / 512, 4, 30),
+        (3.0, 1, 0),
+        (1.37, 3, 20),
+    ],
+)
+def test_updates_are_exactly_those_earned(ratio, environments, learning_starts):
+    config = dataclasses.replace(
+        LIGHT,
+        updates_per_step=ratio,
+        environments=environments,
+        learning_starts=learning_starts,
+    )
+    env = oracles.with_episodes(oracles.OneStep(), 1)
+    agent = oracles.make_agent(config, env.action_size)
+    trainer = Trainer(config, env, oracles.CountingAgent(**vars(agent)))
+    exact = Fraction(str(ratio)) if ratio != 1 / 512 else Fraction(1, 512)
+    state = trainer.jitted_init(0)
+    for turns, chunk in enumerate([1] * 40 + [600 - 40]):
+        state = trainer.jitted_run(state, chunk)
+        turns = turns + 1 if chunk == 1 else 600
+        learning = sum(t * environments >= learning_starts for t in range(1, turns + 1))
+        expected = int(learning * environments * exact)
+        assert int(state.agent.learner.updates) == expected
+        assert int(state.totals.updates) == expected
+    assert int(state.env_steps) == 600 * environments
+    assert expected > 0
+
+
+def test_before_learning_starts_nothing_is_learned():
+    trainer = random_length()
+    assert (trainer.config.learning_starts, trainer.config.environments) == (16, 4)
+    first = jax.device_get(trainer.jitted_init(0).agent.learner)
+    oracles.assert_equal(run(trainer, 3).agent.learner, first)
+    assert run(trainer, 4).agent.learner.updates == 2
+
+
+# ----- chunks, seeds and padding
+
+
+def test_where_the_host_cuts_changes_nothing():
+    trainer = random_length()
+    whole = run(trainer, 60)
+    cut = trainer.jitted_init(0)
+    for turns in (30, 1, 0, 29):
+        cut = trainer.jitted_run(cut, turns)
+    oracles.assert_equal(cut, whole)
+    assert whole.agent.learner.updates > 100
+
+
+def test_seeds_are_repeatable_and_differ():
+    trainer = random_length()
+    oracles.assert_equal(run(trainer, 10, seed=3), run(trainer, 10, seed=3))
+    one, other = oracles.stored(run(trainer, 10, 3)), oracles.stored(run(trainer, 10, 4))
+    for x, y in zip(one, other, strict=True):
+        if x.dtype != bool:
+            assert not np.array_equal(x, y)
+
+
+def test_the_streams_of_a_seed_are_apart():
+    keys = [jax.random.key_data(key).tolist() for key in (*run_keys(0), *run_keys(1))]
+    assert len({tuple(key) for key in keys}) == 8
+
+
+def test_padding_heads_acts_and_learns_the_same():
+    """M = 3 padded to 8: draws and rewards are the same to the last bit.
+
+    Sums over 8 heads may round differently from sums over 3, and updates add up: after 74 updates
+    parameters agree to 1e-5 absolutely.
+    """
+    plain = random_length()
+    padded = oracles.make_trainer(oracles.RandomLength(), TIME_LIMIT, plain.config, padded_heads=8)
+    few, many = run(plain, 40), run(padded, 40)
+    rows, padded_rows = oracles.stored(few), oracles.stored(many)
+    np.testing.assert_array_equal(rows.head, padded_rows.head)
+    np.testing.assert_array_equal(rows.observation, padded_rows.observation)
+    np.testing.assert_array_equal(rows.terminal, padded_rows.terminal)
+    np.testing.assert_allclose(rows.action, padded_rows.action, atol=1e-5)
+
+    mine, theirs = few.agent.learner, many.agent.learner
+    kernel, bias = oracles.last_layer(theirs.actor, 8)
+    first_kernel, first_bias = oracles.last_layer(padded.jitted_init(0).agent.learner.actor, 8)
+    close = functools.partial(np.testing.assert_allclose, atol=1e-5)
+    jax.tree.map(close, (kernel[:, :3], bias[:3]), oracles.last_layer(mine.actor, 3))
+    jax.tree.map(close, oracles.trunk(theirs.actor), oracles.trunk(mine.actor))
+    jax.tree.map(close, theirs.critic, mine.critic)
+    np.testing.assert_array_equal(kernel[:, 3:], first_kernel[:, 3:])
+    np.testing.assert_array_equal(bias[3:], first_bias[3:])
+
+
+# ----- what it learns
+
+
+def train(env, time_limit, turns, **changes):
+    config = dataclasses.replace(
+        LIGHT,
+        hidden=(16, 16),
+        environments=4,
+        updates_per_step=1.0,
+        replay_size=2_000,
+        batch_size=32,
+        discount=0.5,
+        tau=0.05,
+        critic_l2=0.0,
+        critic_learning_rate=1e-2,
+        actor_learning_rate=1e-2,
+        noise="gaussian",
+        noise_scale=0.5,
+        **changes,
+    )
+    trainer = oracles.make_trainer(env, time_limit, config)
+    return trainer, run(trainer, turns)
+
+
+def q(trainer, state, observation, action):
+    observation = jnp.asarray([observation], jnp.float32)
+    actions = jnp.asarray([[[action]]], jnp.float32)
+    return trainer.agent.algorithm.values(state.agent.learner.critic, observation, actions)[0, 0]
+
+
+@pytest.mark.parametrize(
+    ("env", "time_limit", "changes", "values"),
+    [
+        (oracles.TwoSteps(), 10, {}, {(0.0,): 0.5, (1.0,): 1.0}),
+        (oracles.TwoSteps(), 10, {"target": "sampled"}, {(0.0,): 0.5, (1.0,): 1.0}),
+        # Reward 1 for ever at γ = ½ is worth 2, wherever the time limit cuts; where the limit
+        # counts as an end, one of five steps is worth 1: Q = 1 + ½ · ⅘ · Q.
+        (oracles.Endless(), 5, {}, {(0.0,): 2.0}),
+        (oracles.Endless(), 5, {"truncation": "terminal"}, {(0.0,): 1 / 0.6}),
+    ],
+)
+def test_trained_critic_matches_known_values(env, time_limit, changes, values):
+    trainer, state = train(env, time_limit, turns=300, **changes)
+    for observation, value in values.items():
+        for action in (-1.0, 0.0, 1.0):
+            assert float(q(trainer, state, observation, action)) == pytest.approx(value, abs=0.1)
+
+
+@pytest.mark.parametrize("gradient", ["stored", "all"])
+def test_every_head_finds_the_best_action(gradient):
+    """Reward s · a at s = ±1: the critic knows it within 0.1, and all heads propose a = s."""
+    trainer, state = train(oracles.Side(), 10, turns=400, gradient=gradient)
+    for side in (-1.0, 1.0):
+        for action in (-1.0, 0.0, 1.0):
+            value = float(q(trainer, state, (side,), action))
+            assert value == pytest.approx(side * action, abs=0.1)
+        proposals = trainer.agent.proposals(state.agent, jnp.array([side]))
+        np.testing.assert_allclose(proposals, side, atol=0.1)
+    assert heads.spread(proposals, jnp.int32(3)) < 0.1
+
+
+# ----- memory and accelerators
+
+
+@pytest.mark.parametrize(("env", "limit"), [("hopper", 120e6), ("humanoid", 3e9)])
+def test_a_run_takes_the_memory_it_may(env, limit):
+    trainer = make_trainer(dataclasses.replace(PRESETS["paper"], env=env))
+    transition = jax.tree.leaves(trainer.shapes.replay.data)
+    assert all(leaf.shape[0] == 1_000_000 for leaf in transition)
+    assert 0.5 * limit < state_bytes(trainer) < limit
+
+
+def test_state_bytes_are_those_of_the_state():
+    trainer = random_length()
+    state = jax.device_get(
+        jax.tree.map(
+            lambda x: jax.random.key_data(x) if jnp.issubdtype(x.dtype, jax.dtypes.prng_key) else x,
+            trainer.jitted_init(0),
+        )
+    )
+    assert state_bytes(trainer) == sum(x.nbytes for x in jax.tree.leaves(state))
+
+
+def test_the_parallel_preset_lowers_for_accelerators():
+    """4,096 MJX Hoppers, a whole chunk, without a GPU or a TPU."""
+    config = dataclasses.replace(PRESETS["parallel"], env="hopper")
+    trainer = make_trainer(config)
+    assert (config.environments, trainer.env.backend) == (4096, "mjx")
+    lowered = export.export(trainer.jitted_run, platforms=("cuda", "tpu"))(
+        trainer.shapes, jax.ShapeDtypeStruct((), jnp.int32)
+    )
+    assert lowered.platforms == ("cuda", "tpu")
+    shapes = [x.shape for x in jax.tree.leaves(trainer.shapes)]
+    assert [aval.shape for aval in lowered.out_avals] == shapes
