@@ -35,7 +35,7 @@ class MujocoTask:
 
     Every method indexes from the last axis, so that the same lines serve one instance and a batch.
     The dataclass fields of a task are the constructor arguments of its Gymnasium counterpart.
-    As in Gymnasium, fields other than qpos and qvel describe the start of the last physics substep.
+    As in Gymnasium, all fields but qpos and qvel are what MuJoCo derived last: a substep earlier.
     """
 
     gymnasium_id: ClassVar[str]

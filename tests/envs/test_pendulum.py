@@ -2,6 +2,7 @@
 
 import gymnasium
 import jax
+import jax.export
 import numpy as np
 import pytest
 import scipy.stats
@@ -82,3 +83,11 @@ def test_actions_are_clipped_and_wrappers_kept():
     wild, clipped = env.step(state, np.float32([7])), env.step(state, np.float32([1]))
     jax.tree.map(np.testing.assert_array_equal, wild, clipped)
     assert (wild.info, wild.metrics) == ({"wrapper": 1}, {"wrapper": 2})
+
+
+def test_it_lowers_for_accelerators():
+    env = envs.make("pendulum")
+    states = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 4))
+    step = jax.jit(jax.vmap(env.step))
+    exported = jax.export.export(step, platforms=["cuda", "tpu"])(states, np.zeros((4, 1)))
+    assert exported.platforms == ("cuda", "tpu")
