@@ -99,7 +99,7 @@ def _is_key(dtype) -> bool:
     return jnp.issubdtype(dtype, jax.dtypes.prng_key)
 
 
-def _as_array(leaf: jax.Array) -> np.ndarray:
+def _as_array(leaf: jax.Array | np.ndarray) -> np.ndarray:
     return np.asarray(jax.random.key_data(leaf) if _is_key(leaf.dtype) else leaf)
 
 

@@ -5,6 +5,7 @@ import tempfile
 
 import flax.struct
 import jax
+import pytest
 
 # The import hook checks the arrays that functions take and return. Containers hold shapes, NumPy
 # arrays and JAX's own placeholders too, so they are left alone: the hook honours this mark.
@@ -15,3 +16,13 @@ _cache = tempfile.TemporaryDirectory(prefix="mapg-tests-")
 os.environ["JAX_COMPILATION_CACHE_DIR"] = _cache.name
 jax.config.update("jax_compilation_cache_dir", _cache.name)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+@pytest.fixture(scope="session")
+def finished_run(tmp_path_factory):
+    """The folder of oracles.RUN, all of its checkpoints kept; a test that writes takes a copy."""
+    import oracles
+
+    import mapg_jax  # once the hook and the mark above are in place
+
+    return mapg_jax.train(oracles.RUN, tmp_path_factory.mktemp("runs") / "pendulum")

@@ -1,6 +1,7 @@
 """Slow, obvious versions of what is tested, and tiny environments whose values are known."""
 
 import collections
+import dataclasses
 import math
 
 import jax
@@ -104,6 +105,12 @@ TINY = Config(
     learning_starts=16,
 )
 """A run that compiles and goes fast; its environment is given to `make_trainer`."""
+
+RUN = dataclasses.replace(
+    TINY, steps=800, evaluate_every=200, evaluation_episodes=2, final_episodes=3,
+    checkpoint_seconds=1e-9, checkpoints_kept=100,
+)  # fmt: skip
+"""A whole run on Pendulum with a checkpoint after every chunk, the first one at step 64."""
 
 
 class CountingAgent(Agent):

@@ -1,0 +1,104 @@
+"""What is saved comes back to the last bit; what is damaged is named."""
+
+import dataclasses
+import shutil
+
+import jax
+import jax.numpy as jnp
+import oracles
+import pytest
+
+from mapg_jax.checkpointing import Checkpoints
+from mapg_jax.training import make_trainer
+
+CONFIG = dataclasses.replace(oracles.TINY, replay_size=1000)
+
+
+@pytest.fixture(scope="module")
+def trainer():
+    return make_trainer(CONFIG)
+
+
+@pytest.fixture(scope="module")
+def states(trainer):
+    """After 5 and after 300 turns: the replay partly filled, and wrapped."""
+    return [trainer.jitted_run(trainer.jitted_init(0), turns) for turns in (5, 300)]
+
+
+def test_every_leaf_comes_back(trainer, states, tmp_path):
+    checkpoints = Checkpoints(tmp_path / "checkpoints", kept=2)
+    for state in states:
+        checkpoints.save(state, {"seconds": 1.5})
+        restored, host = Checkpoints(tmp_path / "checkpoints").load(trainer.shapes)
+        oracles.assert_equal(restored, state)
+        assert host == {"seconds": 1.5}
+        same = jax.tree.map(lambda x, y: x.dtype == y.dtype, restored, state)
+        assert all(jax.tree.leaves(same))
+        agent = Checkpoints(tmp_path / "checkpoints").load_agent(trainer.shapes.agent)
+        oracles.assert_equal(agent, state.agent)
+
+
+def test_only_filled_slots_are_written(trainer, states, tmp_path):
+    sizes = []
+    for i, state in enumerate(states):
+        path = tmp_path / str(i)
+        Checkpoints(path, kept=1).save(state, {})
+        sizes.append(sum(file.stat().st_size for file in path.rglob("*") if file.is_file()))
+    slot = sum(x.nbytes // 1000 for x in jax.tree.leaves(states[0].replay.data))
+    filled = [int(state.replay.size) for state in states]
+    assert filled == [20, 1000]
+    # Observations hardly compress; three in four bytes is a bound that a whole replay would miss.
+    assert sizes[1] - sizes[0] > 0.75 * slot * (filled[1] - filled[0])
+
+
+def test_the_newest_are_kept(states, tmp_path):
+    checkpoints = Checkpoints(tmp_path / "checkpoints", kept=2)
+    for steps in (10, 20, 30):
+        checkpoints.save(states[0].replace(env_steps=jnp.int32(steps)), {})
+    assert checkpoints.newest() == 30
+    kept = {path.name for path in (tmp_path / "checkpoints").iterdir()}
+    assert kept == {"20", "30"}
+
+
+def test_half_written_checkpoints_are_not_seen(trainer, states, tmp_path):
+    path = tmp_path / "checkpoints"
+    Checkpoints(path, kept=2).save(states[0], {})
+    shutil.copytree(path / "20", path / "40.orbax-checkpoint-tmp-1")
+    checkpoints = Checkpoints(path)
+    assert checkpoints.newest() == 20
+    oracles.assert_equal(checkpoints.load(trainer.shapes)[0], states[0])
+
+
+def test_no_checkpoint_is_named(trainer, tmp_path):
+    for path in (tmp_path / "run" / "checkpoints", tmp_path / "empty" / "checkpoints"):
+        if path.parent.name == "empty":
+            path.mkdir(parents=True)
+        checkpoints = Checkpoints(path)
+        assert checkpoints.newest() is None
+        with pytest.raises(ValueError, match=f"{path.parent} has no complete checkpoint"):
+            checkpoints.load_agent(trainer.shapes.agent)
+    assert not (tmp_path / "run").exists()  # reading writes nothing
+
+
+@pytest.mark.parametrize("damage", ["emptied", "overwritten", "deleted"])
+@pytest.mark.parametrize("part", ["agent", "rest"])
+def test_damage_is_named_with_the_way_out(trainer, states, tmp_path, damage, part):
+    path = tmp_path / "checkpoints"
+    Checkpoints(path, kept=2).save(states[0], {})
+    for file in (path / "20" / part).rglob("*"):
+        if not file.is_file():
+            continue
+        if damage == "deleted":
+            file.unlink()
+        else:
+            file.write_bytes(b"" if damage == "emptied" else b"\xff" * file.stat().st_size)
+    with pytest.raises(ValueError, match=r"checkpoints.20 is damaged .*remove that folder"):
+        Checkpoints(path).load(trainer.shapes)
+
+
+@pytest.mark.parametrize("changes", [{"heads": 4}, {"hidden": (9, 8)}, {"layer_norm": False}])
+def test_another_configuration_is_refused(states, tmp_path, changes):
+    Checkpoints(tmp_path / "checkpoints", kept=2).save(states[0], {})
+    other = make_trainer(dataclasses.replace(CONFIG, **changes))
+    with pytest.raises(ValueError, match=r"is of another configuration|where .* is expected"):
+        Checkpoints(tmp_path / "checkpoints").load_agent(other.shapes.agent)

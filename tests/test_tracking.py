@@ -1,0 +1,109 @@
+"""metrics.csv is exact and can be cut back; TensorBoard and the progress line say the same."""
+
+import contextlib
+import math
+import struct
+
+import numpy as np
+from tensorboardX.proto.event_pb2 import Event
+
+from mapg_jax.tracking import MetricsFile, Progress, cut_metrics, read_metrics
+
+ROWS = [
+    {"env_steps": steps, "return_mean": float(np.float32(0.1) * steps), "seconds": math.pi}
+    for steps in (100, 200, 300)
+]
+
+
+def write(path, rows=ROWS):
+    with contextlib.closing(MetricsFile(path)) as metrics:
+        for row in rows:
+            metrics.write(row)
+
+
+def scalars(folder):
+    """{(name, step): value} of TensorBoard's files: length, checksum, event, checksum."""
+    found = {}
+    for path in folder.glob("events.*"):
+        data = path.read_bytes()
+        while data:
+            (length,) = struct.unpack("<Q", data[:8])
+            event, data = Event.FromString(data[12 : 12 + length]), data[16 + length :]
+            found |= {(value.tag, event.step): value.simple_value for value in event.summary.value}
+    return found
+
+
+def test_rows_read_back_as_float32(tmp_path):
+    path = tmp_path / "metrics.csv"
+    write(path)
+    assert path.read_text().splitlines()[0] == "env_steps,return_mean,seconds"
+    for row, expected in zip(read_metrics(path), ROWS, strict=True):
+        assert row["env_steps"] == expected["env_steps"]
+        for name in ("return_mean", "seconds"):
+            assert np.float32(row[name]) == np.float32(expected[name])
+
+
+def test_no_file_has_no_rows(tmp_path):
+    assert read_metrics(tmp_path / "metrics.csv") == []
+    cut_metrics(tmp_path / "metrics.csv", 100)
+    assert not list(tmp_path.iterdir())
+
+
+def test_cutting_back_keeps_the_rows_up_to_the_checkpoint(tmp_path):
+    path = tmp_path / "metrics.csv"
+    write(path)
+    whole = path.read_bytes()
+    cut_metrics(path, 300)
+    assert path.read_bytes() == whole
+    cut_metrics(path, 299)
+    assert path.read_bytes() == b"".join(whole.splitlines(keepends=True)[:3])
+    write(path, ROWS[2:])
+    assert path.read_bytes() == whole
+
+
+def test_a_line_cut_short_is_dropped(tmp_path):
+    path = tmp_path / "metrics.csv"
+    write(path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: whole.rindex(b",")])
+    cut_metrics(path, 300)
+    write(path, ROWS[2:])
+    assert path.read_bytes() == whole
+
+
+def test_a_file_without_a_whole_row_is_written_anew(tmp_path):
+    path = tmp_path / "metrics.csv"
+    write(path)
+    whole = path.read_bytes()
+    for length in (0, 10, len(whole.splitlines(keepends=True)[0])):
+        path.write_bytes(whole[:length])
+        cut_metrics(path, 300)
+        write(path)
+        assert path.read_bytes() == whole
+
+
+def test_tensorboard_holds_the_same_numbers(tmp_path):
+    write(tmp_path / "metrics.csv")
+    found = scalars(tmp_path)
+    for row in ROWS:
+        for name in ("return_mean", "seconds"):
+            assert found[name, row["env_steps"]] == np.float32(row[name])
+    assert len(found) == 2 * len(ROWS)
+
+
+def test_progress_is_a_line_an_evaluation_on_standard_error(capsys):
+    row = {"env_steps": 500, "return_mean": -12.34, "return_std": 5.0, "steps_per_second": 2000.0}
+    with Progress(1000) as progress:
+        progress.advance(500, 2000.0)
+        progress.evaluated(row, 0.25)
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert "step 500 of 1,000: return -12.3 ± 5.0, 2,000 steps/s, 0 s left" in shown.err
+
+
+def test_silence_is_silent(capsys):
+    with Progress(1000, enabled=False) as progress:
+        progress.advance(500, 2000.0)
+        row = {"env_steps": 500, "return_mean": 0.0, "return_std": 0.0, "steps_per_second": 1.0}
+        progress.evaluated(row, 1.0)
+    assert capsys.readouterr() == ("", "")
