@@ -12,7 +12,7 @@ from envs.base import with_episodes
 from envs.engines.contact_frames import mujoco_contact_frames
 
 COMPILED_BY_DEFAULT = ("inverted_pendulum", "hopper")
-TRACED_BY_DEFAULT = ("ant", "humanoid")  # whose fields MJX keeps in several places
+TRACED_BY_DEFAULT = ("ant",)  # whose fields MJX keeps in several places
 CONTACT_FORCES_SEEN = ("ant", "humanoid", "humanoid_standup")  # stiff: 1e-7 m is much force
 INSTANCES = 16
 
