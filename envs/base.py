@@ -7,7 +7,6 @@ and resets belong to `with_episodes`.
 
 import contextlib
 import functools
-import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -17,7 +16,7 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 from jaxtyping import Float
 
-with contextlib.redirect_stdout(sys.stderr):  # importing brax.envs prints its backends' warnings
+with contextlib.redirect_stdout(None):  # importing brax.envs prints what its backends lack
     from brax.envs.base import Env, State, Wrapper
 
 __all__ = ["Action", "Env", "Episodes", "State", "Wrapper", "where_ended", "with_episodes"]

@@ -2,7 +2,6 @@
 
 import contextlib
 import copy
-import sys
 from typing import Any
 
 import jax
@@ -11,7 +10,7 @@ import mujoco
 import numpy as np
 from flax import struct
 
-with contextlib.redirect_stdout(sys.stderr):  # importing mjx prints which parts of it are missing
+with contextlib.redirect_stdout(None):  # importing mjx prints what it lacks
     from mujoco import mjx
 
 from envs.engines.contact_frames import mujoco_contact_frames

@@ -1,13 +1,12 @@
 """Brax's own environments under our contract."""
 
 import contextlib
-import sys
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-with contextlib.redirect_stdout(sys.stderr):  # importing brax.envs prints its backends' warnings
+with contextlib.redirect_stdout(None):  # importing brax.envs prints what its backends lack
     from brax import envs as brax_envs
 
 from envs.base import Action, Env, State, Wrapper
