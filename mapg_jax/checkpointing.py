@@ -80,19 +80,20 @@ class Checkpoints:
 
     def _unflatten(self, shapes: Any, stored: dict[str, Any]) -> Any:
         leaves, structure = jax.tree_util.tree_flatten_with_path(shapes)
-        names = [jax.tree_util.keystr(path) for path, _ in leaves]
-        if set(names) != set(stored):
+        named = [(jax.tree_util.keystr(path), shape) for path, shape in leaves]
+        if {name for name, shape in named if shape.size} != set(stored):
             raise ValueError(f"{self.path.parent}: the checkpoint is of another configuration")
         values = [
-            _as_leaf(np.asarray(stored[name]), shape, name.startswith(".replay.data"))
-            for name, (_, shape) in zip(names, leaves, strict=True)
+            _as_leaf(stored.get(name), shape, name.startswith(".replay.data"))
+            for name, shape in named
         ]
         return jax.tree_util.tree_unflatten(structure, values)
 
 
 def _flatten(tree: Any) -> dict[str, Any]:
+    """Leaves by name, but for the empty ones, which Orbax refuses: MJX's state has some."""
     leaves = jax.tree_util.tree_leaves_with_path(tree)
-    return {jax.tree_util.keystr(path): _as_array(leaf) for path, leaf in leaves}
+    return {jax.tree_util.keystr(path): _as_array(leaf) for path, leaf in leaves if leaf.size}
 
 
 def _is_key(dtype) -> bool:
@@ -103,7 +104,8 @@ def _as_array(leaf: jax.Array | np.ndarray) -> np.ndarray:
     return np.asarray(jax.random.key_data(leaf) if _is_key(leaf.dtype) else leaf)
 
 
-def _as_leaf(value: np.ndarray, shape: jax.ShapeDtypeStruct, padded: bool) -> jax.Array:
+def _as_leaf(stored: Any, shape: jax.ShapeDtypeStruct, padded: bool) -> jax.Array:
+    value = np.zeros(shape.shape, shape.dtype) if stored is None else np.asarray(stored)
     if _is_key(shape.dtype):
         return jax.random.wrap_key_data(jnp.asarray(value))
     if padded:

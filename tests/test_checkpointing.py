@@ -38,6 +38,15 @@ def test_every_leaf_comes_back(trainer, states, tmp_path):
         oracles.assert_equal(agent, state.agent)
 
 
+def test_empty_arrays_come_back(trainer, states, tmp_path):
+    """A state of MJX has some, where a model has no muscles or tendons."""
+    state = states[0].replace(noise=jnp.zeros((4, 0)))
+    shapes = trainer.shapes.replace(noise=jax.ShapeDtypeStruct((4, 0), jnp.float32))
+    checkpoints = Checkpoints(tmp_path / "checkpoints", kept=1)
+    checkpoints.save(state, {})
+    oracles.assert_equal(checkpoints.load(shapes)[0], state)
+
+
 def test_only_filled_slots_are_written(trainer, states, tmp_path):
     sizes = []
     for i, state in enumerate(states):
