@@ -58,7 +58,7 @@ class Resume:
         run = refuse_politely(lambda: resume(self.path, self.steps))
         if run.finished:
             print(
-                f"{self.path} is finished: {run.folder.config.steps:,} steps; "
+                f"{self.path} is finished: {run.env_steps:,} steps; "
                 "--steps with a larger number trains it further",
                 file=out,
             )
@@ -101,7 +101,8 @@ class Envs:
     """List the environments."""
 
     def run(self, out: TextIO) -> None:
-        table = rich.table.Table("name", "observation", "action", "time limit", "engines", "equals")
+        headers = ("name", "observation", "action", "time limit", "engines", "equals")
+        table = rich.table.Table(*(rich.table.Column(h, overflow="fold") for h in headers))
         for name in envs.names():
             spec, env = envs.spec(name), envs.make(name)
             table.add_row(
@@ -206,7 +207,7 @@ def _print_score(record: dict, out: TextIO) -> None:
 
 
 def _console(out: TextIO) -> rich.console.Console:
-    return rich.console.Console(file=out, width=None if out.isatty() else 100)
+    return rich.console.Console(file=out, width=None if out.isatty() else 120)
 
 
 def _complain(message: str, status: int) -> int:

@@ -134,6 +134,11 @@ class Run:
         self._seconds_before = host["seconds"]
 
     @property
+    def env_steps(self) -> int:
+        """Environment steps taken."""
+        return self.turn * self.config.environments
+
+    @property
     def finished(self) -> bool:
         return self.turn >= self.last_turn
 
@@ -147,7 +152,7 @@ class Run:
           DivergedError: at the first loss or parameter that is not finite.
           StoppedError: on SIGINT or SIGTERM, once the state is saved.
         """
-        cut_metrics(self.folder.metrics, self.turn * self.config.environments)
+        cut_metrics(self.folder.metrics, self.env_steps)
         with (
             caught_signals() as signals,
             contextlib.closing(MetricsFile(self.folder.metrics)) as metrics,
@@ -175,7 +180,7 @@ class Run:
             self._check_finite(state)
             for pace in (chunk, interval):
                 pace.add(turns, time.monotonic() - begun)
-            bar.advance(self.turn * environments, chunk.rate() * environments)
+            bar.advance(self.env_steps, chunk.rate() * environments)
             if not learning and state.agent.learner.updates > 0:
                 learning = True
                 bar.learning()

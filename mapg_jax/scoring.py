@@ -38,6 +38,8 @@ def evaluate(
     """
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")
+    if not 0 <= seed < 2**31:
+        raise ValueError(f"seed must be at least 0 and below 2147483648, got {seed}")
     policy = load_policy(folder.path, seed, select)
     score = _in_gymnasium if physics == "gymnasium" else _in_jax
     physics, returns, lengths, metrics = score(folder, policy, episodes, physics, select, seed)

@@ -1,6 +1,7 @@
 """What a run tells while it goes: metrics.csv, TensorBoard and the progress line."""
 
 import csv
+import math
 import os
 import pathlib
 import sys
@@ -34,7 +35,7 @@ class MetricsFile:
             file.flush()
             os.fsync(file.fileno())
         for name, value in row.items():
-            if name != "env_steps":
+            if name != "env_steps" and not math.isnan(value):  # it would warn at each
                 self._writer.add_scalar(name, value, int(row["env_steps"]))
 
     def close(self) -> None:

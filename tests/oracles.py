@@ -3,6 +3,7 @@
 import collections
 import dataclasses
 import math
+import pathlib
 
 import jax
 import jax.numpy as jnp
@@ -10,8 +11,11 @@ import numpy as np
 
 from envs.base import Env, State, with_episodes
 from mapg_jax.agent import Agent, make_agent
+from mapg_jax.checkpointing import Checkpoints
 from mapg_jax.config import Config
 from mapg_jax.mapg import Transition, UpdateMetrics
+from mapg_jax.run_folder import RunFolder
+from mapg_jax.runner import start
 from mapg_jax.training import Trainer, TrainState
 
 # ----- tiny environments
@@ -126,6 +130,15 @@ def make_trainer(env: Env, time_limit: int, config: Config, padded_heads: int | 
     """A trainer on an environment without a name."""
     agent = make_agent(config, env.action_size, padded_heads)
     return Trainer(config, with_episodes(env, time_limit), agent)
+
+
+def untrained_run(config: Config, path: pathlib.Path) -> RunFolder:
+    """A run folder with a checkpoint of the initial agent; nothing but `init` is compiled."""
+    run = start(config, path)
+    state = run.trainer.jitted_init(config.seed)
+    state = state.replace(replay=state.replay.replace(size=jnp.int32(1)))
+    Checkpoints(run.folder.checkpoints, kept=1).save(state, {"seconds": 0.0})
+    return run.folder
 
 
 def assert_equal(got, expected) -> None:

@@ -91,6 +91,14 @@ def test_tensorboard_holds_the_same_numbers(tmp_path):
     assert len(found) == 2 * len(ROWS)
 
 
+def test_a_number_that_is_not_there_is_left_out_of_tensorboard(tmp_path, caplog):
+    """Without a finished episode there is no training return; tensorboardX would warn of it."""
+    write(tmp_path / "metrics.csv", [{"env_steps": 1, "training_return": math.nan, "q": 1.0}])
+    assert scalars(tmp_path) == {("q", 1): 1.0}
+    assert math.isnan(read_metrics(tmp_path / "metrics.csv")[0]["training_return"])
+    assert not caplog.records
+
+
 def test_progress_is_a_line_an_evaluation_on_standard_error(capsys):
     row = {"env_steps": 500, "return_mean": -12.34, "return_std": 5.0, "steps_per_second": 2000.0}
     with Progress(1000) as progress:

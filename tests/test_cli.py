@@ -1,0 +1,222 @@
+"""The command line: what it prints and where, and that bad input leaves nothing behind."""
+
+import dataclasses
+import json
+import shutil
+import subprocess
+import sys
+
+import oracles
+import pytest
+
+import envs
+from mapg_jax import cli, runner
+from mapg_jax.config import Config
+from mapg_jax.run_folder import RunFolder
+
+TINY = (
+    "--heads 3 --steps 400 --environments 4 --replay-size 200 --batch-size 8 --hidden 8 8 "
+    "--learning-starts 16 --evaluate-every 200 --evaluation-episodes 2 --final-episodes 3"
+)
+
+
+@pytest.fixture
+def mapg(monkeypatch, capfd, tmp_path):
+    """mapg(*arguments) → exit status, standard output, standard error; in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("NPROC", "1")  # which `main` would set for good
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["mapg", *map(str, arguments)])
+        capfd.readouterr()
+        try:
+            cli.main()
+            status = 0
+        except SystemExit as stop:
+            status = stop.code
+        return status, *capfd.readouterr()
+
+    return run
+
+
+def contents(folder):
+    """Every path below a folder, and what the files hold."""
+    return {path: path.is_file() and path.read_bytes() for path in folder.rglob("*")}
+
+
+@pytest.fixture
+def workplace(tmp_path, finished_run):
+    """A finished run, and run folders with something wrong."""
+    shutil.copytree(finished_run.path, tmp_path / "run")
+    (tmp_path / "file").write_text("in the way")
+    (tmp_path / "empty").mkdir()
+    RunFolder.create(tmp_path / "fresh", oracles.RUN)
+    text = (tmp_path / "run" / "config.json").read_text()
+    for name, damaged in {
+        "torn": text[: len(text) // 2],
+        "wrong": text.replace('"heads": 3', '"heads": 0'),
+        "unknown": text.replace('"heads"', '"haeds"'),
+        "typed": text.replace('"heads": 3', '"heads": "three"'),
+        "listed": "[]",
+    }.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "config.json").write_text(damaged)
+    shutil.copytree(tmp_path / "run", tmp_path / "damaged")
+    for file in (tmp_path / "damaged" / "checkpoints" / "800").rglob("*"):
+        if file.is_file():
+            file.write_bytes(b"")
+    return tmp_path
+
+
+REFUSALS = [
+    ("train --env hoper", "unknown environment 'hoper'; known are pendulum, hopper"),
+    ("train --env brax:hoper", "Brax has no environment 'hoper'; it has"),
+    ("train --env pendulum --engine mjx", "pendulum has no engine 'mjx'; it has jax"),
+    ("train --env-options gravity=1", "pendulum has no option 'gravity'; it has g"),
+    ("train --env-options g", "env_options are written name=value, got 'g'"),
+    ("train --heads 0", "heads must be at least 1, got 0"),
+    ("train --batch-size 65 --replay-size 64", "a batch of 65 is larger than the replay of 64"),
+    ("train --preset papr", "papr"),
+    ("train --stepz 5", "--stepz"),
+    ("train --gradient al", "stored"),
+    ("train --heads many", "many"),
+    ("train --out run", "run exists already; choose another --out, or go on with: mapg resume run"),
+    ("train --out file/run", "file/run cannot be created: Not a directory"),
+    ("trian", "trian"),
+    ("resume nowhere", "there is no run folder nowhere"),
+    ("resume empty", "empty is not a run folder: it has no config.json"),
+    ("resume torn", "torn/config.json is damaged"),
+    ("resume wrong", "heads must be at least 1, got 0"),
+    ("resume unknown", "unknown or missing: haeds, heads"),
+    ("resume typed", "typed/config.json is damaged"),
+    ("resume listed", "listed/config.json is damaged"),
+    ("resume damaged", "800 is damaged"),
+    ("resume run --steps 0", "steps must be at least 1, got 0"),
+    ("evaluate nowhere", "there is no run folder nowhere"),
+    ("evaluate fresh", "fresh has no complete checkpoint"),
+    ("evaluate damaged", "800 is damaged"),
+    ("evaluate run --physics native", "pendulum has no engine 'native'; it has jax"),
+    ("evaluate run --physics bullet", "bullet"),
+    ("evaluate run --episodes 0", "episodes must be at least 1, got 0"),
+    (
+        "evaluate run --seed -1 --physics gymnasium",
+        "seed must be at least 0",
+    ),
+]
+
+
+def test_bad_input_is_named_and_leaves_nothing(mapg, workplace):
+    for command, message in REFUSALS:
+        before = contents(workplace)
+        status, out, err = mapg(*command.split())
+        assert status == 2, command
+        assert out == "", command
+        assert message in " ".join(err.split()), command
+        assert "Traceback" not in err, command
+        assert contents(workplace) == before, command
+
+
+def test_too_little_memory_is_refused_with_the_numbers(mapg, tmp_path, monkeypatch):
+    monkeypatch.setattr(runner, "available_bytes", lambda: 50_000_000)
+    status, out, err = mapg("train", "--env", "hopper", "--out", "run")
+    assert (status, out) == (2, "")
+    assert "mapg: the run needs 0.1 GB" in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_train_then_resume_then_evaluate(mapg, tmp_path):
+    status, out, err = mapg("train", *TINY.split(), "--out", "runs/mine")
+    assert status == 0, err
+    assert "step 400 of 400: return" in err
+    assert "run folder:     runs/mine" in out
+    assert "learning curve: runs/mine/curve.png" in out
+    assert (tmp_path / "runs/mine/curve.png").read_bytes()[1:4] == b"PNG"
+    folder = RunFolder.open("runs/mine")
+    assert folder.config == dataclasses.replace(
+        Config(), heads=3, steps=400, environments=4, replay_size=200, batch_size=8, hidden=(8, 8),
+        learning_starts=16, evaluate_every=200, evaluation_episodes=2, final_episodes=3,
+    )  # fmt: skip
+
+    before = contents(tmp_path)
+    status, out, _ = mapg("resume", "runs/mine")
+    assert status == 0
+    assert "runs/mine is finished: 400 steps" in out
+    status, out, _ = mapg("resume", "runs/mine", "--steps", 100)
+    assert status == 0
+    assert "runs/mine is finished: 400 steps" in out
+    assert contents(tmp_path) == before
+
+    status, out, err = mapg("evaluate", "runs/mine", "--json", "--episodes", 5)
+    assert status == 0, err
+    record = json.loads(out)
+    assert record == json.loads(folder.evaluation.read_text())
+    wanted = {"env", "physics", "select", "episodes", "mean", "std", "ci95", "returns"}
+    assert wanted <= set(record)
+    assert len(record["returns"]) == 5
+    status, out, _ = mapg("evaluate", "runs/mine", "--episodes", 5)
+    assert status == 0
+    assert f"{record['mean']:.1f}" in out
+
+
+def test_a_diverging_run_exits_1(mapg, tmp_path):
+    status, out, err = mapg(
+        "train", *TINY.split(), "--critic-learning-rate", "1e30", "--out", "run"
+    )
+    assert (status, out) == (1, "")
+    assert "mapg: a loss or parameter is no longer finite at step 16" in err
+    assert "Traceback" not in err
+
+
+def test_environments_are_listed(mapg):
+    status, out, _ = mapg("envs")
+    assert status == 0
+    for name in envs.names():
+        spec = envs.spec(name)
+        (line,) = (line for line in out.splitlines() if f" {name} " in line)
+        for text in (*spec.engines, str(spec.time_limit), spec.gymnasium_id):
+            assert text in line
+
+
+@pytest.mark.parametrize("preset", ["paper", "parallel", "smoke"])
+def test_a_preset_sets_the_defaults_that_help_shows(mapg, preset, monkeypatch):
+    started = []
+    monkeypatch.setattr(cli, "start", lambda config, out: started.append(config) or 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        mapg("train", "--preset", preset, "--seed", 3)
+    with pytest.raises(ZeroDivisionError):
+        mapg("train", f"--preset={preset}", "--env", "hopper")
+    assert started[0] == dataclasses.replace(cli.PRESETS[preset], seed=3)
+    assert started[1] == dataclasses.replace(cli.PRESETS[preset], env="hopper")
+    status, out, err = mapg("train", "--preset", preset, "--help")
+    assert status == 0
+    assert f"default: {cli.PRESETS[preset].batch_size}" in out + err
+
+
+def test_json_is_all_that_reaches_standard_output(tmp_path):
+    """In a process of its own, where Brax and MJX print while they are imported."""
+    command = [sys.executable, "-c", "from mapg_jax.cli import main; main()"]
+
+    path = str(tmp_path / "run")
+
+    def run(*arguments):
+        done = subprocess.run([*command, *arguments], capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    train = [*TINY.split(), "--env", "hopper", "--steps", "40", "--time-limit", "20"]
+    run("train", *train, "--out", path)
+    out = run("evaluate", path, "--json", "--physics", "gymnasium", "--episodes", "4")
+    record = json.loads(out)
+    assert (record["physics"], record["env"]) == ("gymnasium", "hopper")
+    assert record == json.loads((tmp_path / "run" / "evaluation.json").read_text())
+
+
+@pytest.mark.mjx
+def test_a_smoke_run_on_mjx(mapg, tmp_path):
+    command = "train --env hopper --engine mjx --preset smoke --out run"
+    status, out, err = mapg(*command.split())
+    assert status == 0, err
+    assert "run folder:     run" in out
+    record = json.loads((tmp_path / "run" / "evaluation.json").read_text())
+    assert (record["physics"], record["episodes"]) == ("mjx", 4)

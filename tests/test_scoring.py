@@ -1,0 +1,100 @@
+"""A run's score, on our physics and in Gymnasium itself."""
+
+import dataclasses
+import json
+
+import gymnasium
+import numpy as np
+import oracles
+import pytest
+
+from mapg_jax import evaluate, load_policy
+
+
+@pytest.fixture(scope="module")
+def hopper(tmp_path_factory):
+    """A run on Hopper that has not learned yet."""
+    config = dataclasses.replace(oracles.RUN, env="hopper", engine="native", time_limit=200)
+    return oracles.untrained_run(config, tmp_path_factory.mktemp("runs") / "hopper")
+
+
+def test_the_record_is_the_file(finished_run):
+    record = evaluate(finished_run, episodes=5, select="mean", seed=3)
+    assert json.loads(finished_run.evaluation.read_text()) == record
+    assert (record["env"], record["physics"], record["select"]) == ("pendulum", "jax", "mean")
+    assert (record["episodes"], record["seed"]) == (5, 3)
+    assert record["mean"] == pytest.approx(np.mean(record["returns"]), rel=1e-12)
+    assert record["std"] == pytest.approx(np.std(record["returns"], ddof=1), rel=1e-12)
+    assert record["ci95"][0] < record["mean"] < record["ci95"][1]
+    assert record["lengths"] == [200] * 5
+    assert record["spread"] > 0
+
+
+def test_a_score_is_repeatable_and_seeds_differ(finished_run):
+    one, again, other = (evaluate(finished_run, episodes=4, seed=seed) for seed in (0, 0, 1))
+    assert one == again
+    assert set(one["returns"]).isdisjoint(other["returns"])
+
+
+def test_gymnasiums_score_is_a_hand_written_loop(hopper):
+    """The official environment, one observation at a time.
+
+    A batch of three and a single observation may round an action differently, by 1e-7; Hopper
+    falls before that grows to 1e-3 of a return.
+    """
+    record = evaluate(hopper, episodes=3, physics="gymnasium", select="first", seed=11)
+    policy = load_policy(hopper.path, select="first")
+    returns, lengths = [], []
+    for i in range(3):
+        env = gymnasium.make("Hopper-v5", max_episode_steps=200)
+        observation, _ = env.reset(seed=11 + i)
+        total, length, ended = 0.0, 0, False
+        while not ended:
+            observation, reward, terminated, truncated, _ = env.step(policy(observation))
+            total, length, ended = total + float(reward), length + 1, terminated or truncated
+        returns.append(total)
+        lengths.append(length)
+    assert record["lengths"] == lengths
+    np.testing.assert_allclose(record["returns"], returns, rtol=1e-3)
+    assert (record["physics"], record["env"]) == ("gymnasium", "hopper")
+
+
+def test_our_physics_scores_as_gymnasium_does(hopper):
+    """Other starts of the same distribution: means of 40 within 6 standard errors of the gap."""
+    ours = evaluate(hopper, episodes=40, physics="native", select="first")
+    theirs = evaluate(hopper, episodes=40, physics="gymnasium", select="first")
+    assert ours["physics"] == "native"
+    error = np.hypot(ours["std"], theirs["std"]) / np.sqrt(40)
+    assert abs(ours["mean"] - theirs["mean"]) < 6 * error
+    assert len(set(ours["lengths"])) > 1  # episodes end by themselves
+
+
+def test_options_reach_gymnasium_too(hopper, tmp_path):
+    config = dataclasses.replace(
+        hopper.config, env_options=("terminate_when_unhealthy=False",), time_limit=250
+    )
+    folder = oracles.untrained_run(config, tmp_path / "run")
+    record = evaluate(folder, episodes=2, physics="gymnasium")
+    assert record["lengths"] == [250, 250]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"episodes": 0}, "episodes must be at least 1, got 0"),
+        ({"seed": -1}, "seed must be at least 0 and below 2147483648, got -1"),
+        ({"physics": "mjx"}, "pendulum has no engine 'mjx'; it has jax"),
+    ],
+)
+def test_what_cannot_be_scored_is_refused(finished_run, arguments, message):
+    before = finished_run.evaluation.exists() and finished_run.evaluation.read_bytes()
+    with pytest.raises(ValueError, match=message):
+        evaluate(finished_run, **arguments)
+    assert before == (finished_run.evaluation.exists() and finished_run.evaluation.read_bytes())
+
+
+def test_brax_has_no_official_task(tmp_path):
+    config = dataclasses.replace(oracles.RUN, env="brax:fast")
+    folder = oracles.untrained_run(config, tmp_path / "run")
+    with pytest.raises(ValueError, match="brax:fast equals no Gymnasium task"):
+        evaluate(folder, physics="gymnasium")
