@@ -5,6 +5,7 @@ all of its state in the `State` it returns. `done` means that the task itself en
 and resets belong to `with_episodes`.
 """
 
+import abc
 import contextlib
 import functools
 from collections.abc import Callable
@@ -17,11 +18,26 @@ from jax.custom_batching import custom_vmap
 from jaxtyping import Float
 
 with contextlib.redirect_stdout(None):  # importing brax.envs prints what its backends lack
-    from brax.envs.base import Env, State, Wrapper
+    import brax.envs.base
+    from brax.envs.base import State, Wrapper
 
 __all__ = ["Action", "Env", "Episodes", "State", "Wrapper", "where_ended", "with_episodes"]
 
 Action = Float[jax.Array | np.ndarray, "A"]
+
+
+class Env(brax.envs.base.Env):
+    """Brax's environment with flat observations and actions in [-1, 1]."""
+
+    action_high: np.ndarray
+    """[A] float32, what an action of 1 is in Gymnasium's units."""
+
+    @property
+    @abc.abstractmethod
+    def observation_size(self) -> int:
+        """D."""
+
+
 """In [-1, 1]^A; clipped there first."""
 
 RESETS_PER_ROUND = 1 / 16
@@ -67,7 +83,7 @@ def where_ended(make: Callable[[Any], Any], ended: jax.Array, argument: Any, kep
     return select(ended, argument, kept)
 
 
-class Episodes(Wrapper):
+class Episodes(Wrapper, Env):
     """An environment that ends its episodes at a time limit and starts the next one by itself.
 
     `info` tells `terminated` (the task ended), `truncated` (the time limit was reached; both may
@@ -80,7 +96,12 @@ class Episodes(Wrapper):
         if time_limit < 1:
             raise ValueError(f"time_limit must be at least 1 step, got {time_limit}")
         super().__init__(env)
+        self.env: Env = env
         self.time_limit = time_limit
+
+    @property
+    def observation_size(self) -> int:
+        return self.env.observation_size
 
     def reset(self, rng: jax.Array) -> State:
         start_key, key = jax.random.split(rng)

@@ -169,7 +169,7 @@ def insert(path: pathlib.Path, name: str, text: str) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="Runs and tables of README and docs.")
     parser.add_argument("--workers", type=int, default=1, help="runs side by side")
     parser.add_argument("--seeds", type=int, default=5, help="seeds a cell")
     parser.add_argument("--tables", action="store_true", help="only write the tables")

@@ -4,7 +4,7 @@ All functions are pure: what an update changes is the `LearnerState` it returns.
 """
 
 import dataclasses
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -119,19 +119,19 @@ class Mapg:
 
     def proposals(self, actor: Params, observation: Float[Array, "*B D"]) -> Float[Array, "*B M A"]:
         """All M actions, padding included."""
-        return self.actor.apply(actor, observation)
+        return cast(Array, self.actor.apply(actor, observation))
 
     def proposal(
         self, actor: Params, observation: Float[Array, "*B D"], head: Integer[Array, "*B"]
     ) -> Float[Array, "*B A"]:
         """The action of one head a state; the gradient reaches that head alone."""
-        return self.actor.apply(actor, observation, head)
+        return cast(Array, self.actor.apply(actor, observation, head))
 
     def values(
         self, critic: Params, observation: Float[Array, "*B D"], actions: Float[Array, "*B K A"]
     ) -> Float[Array, "*B K"]:
         """Q of K actions a state."""
-        return self.critic.apply(critic, observation, actions)
+        return cast(Array, self.critic.apply(critic, observation, actions))
 
     def value(
         self, critic: Params, observation: Float[Array, "*B D"], action: Float[Array, "*B A"]

@@ -31,7 +31,7 @@ def environment_class(name: str) -> type[Env]:
     return brax_envs._envs[name]
 
 
-class BraxEnv(Wrapper):
+class BraxEnv(Wrapper, Env):
     """A Brax environment whose actions are float32 in [-1, 1]^A, clipped there first."""
 
     def __init__(self, env: Env):
