@@ -164,8 +164,10 @@ def _parse(arguments: list[str]):
     # One command at a time: tyro's messages then name flags as the user wrote them.
     name, *flags = arguments or ["--help"]
     if name in COMMANDS:
-        default = {"default": Train(PRESETS[_named_preset(flags)])} if name == "train" else {}
-        return tyro.cli(COMMANDS[name], prog=f"mapg {name}", args=flags, **default)
+        prog = f"mapg {name}"
+        if name != "train":
+            return tyro.cli(COMMANDS[name], prog=prog, args=flags)
+        return tyro.cli(Train, prog=prog, args=flags, default=Train(PRESETS[_named_preset(flags)]))
     description = "Multiple Action Policy Gradients. Each command has its own --help."
     return tyro.extras.subcommand_cli_from_dict(
         COMMANDS, prog="mapg", description=description, args=[name]
