@@ -9,7 +9,7 @@ demo: .venv/ready  ## train MAPG (M = 10) on Pendulum and score it over 100 epis
 	$(BIN)/mapg train --env pendulum --heads 10 --steps 40000 --evaluate-every 2000
 
 test: .venv/ready  ## the tests, under 8 minutes on 2 cores
-	$(PYTEST) -m "not mjx"
+	$(PYTEST) -n 2 --dist loadfile -m "not mjx"
 
 test-mjx: .venv/ready  ## the tests that compile every task for MJX, about 15 minutes on 2 cores
 	$(PYTEST) -m mjx

@@ -11,10 +11,13 @@ import pytest
 # arrays and JAX's own placeholders too, so they are left alone: the hook honours this mark.
 flax.struct.PyTreeNode.__no_type_check__ = True
 
-# Programs compiled once serve every test of a session and the commands that tests start.
-_cache = tempfile.TemporaryDirectory(prefix="mapg-tests-")
-os.environ["JAX_COMPILATION_CACHE_DIR"] = _cache.name
-jax.config.update("jax_compilation_cache_dir", _cache.name)
+# Programs compiled once serve every test of a session, in all of its processes, and the commands
+# that tests start; the first process makes the folder, the others inherit its name.
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    _cache = tempfile.TemporaryDirectory(prefix="mapg-tests-")
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = _cache.name
+os.environ.setdefault("NPROC", "1")  # XLA threads a process: the processes already fill the cores
+jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
