@@ -1,0 +1,1 @@
+"""Driving: TORCS's sensors, car and kind of circuits as pure functions."""

@@ -1,0 +1,2 @@
+from envs.driving.circuits import CIRCUITS
+def load_track(t): return CIRCUITS[t]() if isinstance(t,str) else t
