@@ -109,7 +109,11 @@ def _along(rows, x, y):
 
 
 def place(
-    bank: TrackBank, track: Int[Array, ""], cell: Int[Array, ""], x: Float[Array, ""], y: Float[Array, ""]
+    bank: TrackBank,
+    track: Int[Array, ""],
+    cell: Int[Array, ""],
+    x: Float[Array, ""],
+    y: Float[Array, ""],
 ) -> Place:
     """Where the point is, walking on from a cell that it was in by at most one cell."""
     row = bank.first[track] + cell

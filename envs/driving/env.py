@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from envs.base import Env, State
 from envs.driving import bank as banks
 from envs.driving import sensors as sensing
-from envs.driving.bank import Place, TrackBank
+from envs.driving.bank import Place
 from envs.driving.loaders import load_track
 from envs.driving.powertrain import engine_speed
 from envs.driving.rewards import REWARDS, Motion, progress_kmh
@@ -67,9 +67,9 @@ class Driving(Env):
 
     | | |
     |---|---|
-    | action [3] in [-1, 1] | steer (+1 full left), accelerator (-1 none, +1 full), brake (up to 0 none, +1 full) |
-    | observation [29] | angle, 19 range finders, trackPos, speed x y z, 4 wheel speeds, rpm; `sensors.observe` |
-    | reward | by name, `rewards.REWARDS` |
+    | action [3] in [-1, 1] | steer (+1 full left), accelerator and brake: see `controls` |
+    | observation [29] | angle, 19 range finders, trackPos, speeds, wheels, rpm: `sensors.observe` |
+    | reward | by name: `rewards.REWARDS` |
     | start | at rest on the centre line, at s = 0 or anywhere |
     | end | off the track, backwards, or no progress |
 
@@ -100,7 +100,7 @@ class Driving(Env):
         backwards_end: float | None = 90.0,
         slow_end: float | None = 5.0,
         slow_time: float = 10.0,
-        physics_dt: float = 0.002,
+        physics_dt: float = 0.0025,
     ):
         self._substeps = _substeps(control_hz, physics_dt)
         self._dt = 1 / control_hz

@@ -9,8 +9,10 @@ from envs.driving.bank import SIGHT, Place, TrackBank
 from envs.driving.vehicle import Car, wrap
 
 RAY_ANGLES = {
-    "snakeoil": (-45, -19, -12, -7, -4, -2.5, -1.7, -1, -0.5, 0)
-    + (0.5, 1, 1.7, 2.5, 4, 7, 12, 19, 45),
+    "snakeoil": (
+        *(-45, -19, -12, -7, -4, -2.5, -1.7, -1, -0.5),
+        *(0, 0.5, 1, 1.7, 2.5, 4, 7, 12, 19, 45),
+    ),
     "scr": (-90, -75, -60, -45, -30, -20, -15, -10, -5, 0, 5, 10, 15, 20, 30, 45, 60, 75, 90),
 }
 """Degrees from the car's axis, clockwise (to the right) positive, as SCR counts them."""
@@ -36,28 +38,28 @@ def range_finders(
     round. It meets the edge in the first cell that it cannot leave so. The walk is along the road
     alone, so a road that crosses another one is not seen from there.
     """
-    angle = heading - np.deg2rad(np.float32(degrees))
-    ray_x, ray_y = jnp.cos(angle)[:, None], jnp.sin(angle)[:, None]
+    across = np.deg2rad(np.float32(degrees))
+    c, s = jnp.cos(heading), jnp.sin(heading)
+    ray_x, ray_y = c * np.cos(across) + s * np.sin(across), s * np.cos(across) - c * np.sin(across)
     reach = bank.reach
     row = bank.first[track] + cell
     portals = jax.lax.dynamic_slice(bank.edges, (row - reach, 0), (2 * reach + 1, 4))
     portals = portals - jnp.stack([x, y, x, y])
 
-    def left_of_rays(ends_x, ends_y):
-        return ray_x * ends_y - ray_y * ends_x
+    def left_of_rays(points):
+        return ray_x[:, None] * points[:, 1] - ray_y[:, None] * points[:, 0]  # [R, points]
 
-    left = left_of_rays(portals[:, 0], portals[:, 1])  # [R, 2 reach + 1]
-    right = left_of_rays(portals[:, 2], portals[:, 3])
-    number = np.arange(2 * reach + 1)
-    closed_ahead = (left <= 0) | (right >= 0) | (number == 2 * reach)
-    closed_behind = (left >= 0) | (right <= 0) | (number == 0)
-    ahead = jnp.where(closed_ahead & (number > reach), number, 2 * reach).min(-1) - 1
-    behind = jnp.where(closed_behind & (number <= reach), number, 0).max(-1)
-    last = jnp.where(behind < reach, behind, ahead)  # [R], the cell where each ray ends
+    behind, ahead = portals[: reach + 1], portals[reach + 1 :]
+    closed = (left_of_rays(ahead[:, :2]) <= 0) | (left_of_rays(ahead[:, 2:]) >= 0)
+    first_closed = jnp.where(closed, np.arange(reach, dtype=np.int32), reach - 1).min(-1)
+    closed = (left_of_rays(behind[:, :2]) >= 0) | (left_of_rays(behind[:, 2:]) <= 0)
+    last_closed = jnp.where(closed, np.arange(reach + 1, dtype=np.int32), 0).max(-1)
+    goes_back = last_closed < reach
+    end = jnp.where(goes_back, last_closed, reach + first_closed)  # [R], cell where the ray ends
 
-    starts, ends = portals[last], portals[last + 1]  # [R, 4]
-    to_left = _meet(ray_x[:, 0], ray_y[:, 0], starts[:, :2], ends[:, :2])
-    to_right = _meet(ray_x[:, 0], ray_y[:, 0], starts[:, 2:], ends[:, 2:])
+    starts, ends = portals[end], portals[end + 1]  # [R, 4]
+    to_left = _meet(ray_x, ray_y, starts[:, :2], ends[:, :2])
+    to_right = _meet(ray_x, ray_y, starts[:, 2:], ends[:, 2:])
     return jnp.minimum(to_left, to_right)
 
 

@@ -15,6 +15,7 @@ from jaxtyping import Float
 CAR_WIDTH = 1.94  # m
 SAGITTA = 0.05  # m, between the centre line and the chord of a cell
 LONGEST_CELL = 20.0  # m
+SPIRAL_STEP = 8.0  # m, of the pieces of a spiral that does not say its own
 LARGEST_GAP = 1.0  # m, between the two ends of a track that still counts as closed
 LARGEST_KINK = math.radians(1.0)  # rad, likewise
 
@@ -36,7 +37,7 @@ class Arc:
     end_radius: float | None = None
     """m; that of the beginning where None."""
     steps: int | None = None
-    """Pieces of constant radius a spiral is made of; where None, one to each 4 m begun."""
+    """Pieces of constant radius a spiral is made of; where None, one to each 8 m begun."""
 
 
 Segment = Straight | Arc
@@ -165,8 +166,8 @@ def wrap(angle: float) -> float:
 def _pieces(segment: Segment) -> list[tuple[float, float]]:
     """(length m, angle rad) of the pieces of even curvature that make up a segment.
 
-    A spiral has pieces of equal length whose radii run evenly from the first to the last, and the
-    length of an arc of the mean radius, as in TORCS.
+    A spiral has pieces of equal length whose radii run evenly from the first to the last, as in
+    TORCS.
     """
     if isinstance(segment, Straight):
         if segment.length <= 0:
@@ -176,12 +177,12 @@ def _pieces(segment: Segment) -> list[tuple[float, float]]:
     angle = math.radians(segment.degrees)
     if not (segment.radius > 0 and end > 0 and abs(angle) > 0):
         raise ValueError(f"an arc needs radii and an angle above 0, got {segment}")
-    length = (segment.radius + end) / 2 * abs(angle)
-    steps = segment.steps or int(length / 4.0) + 1
-    if end == segment.radius:
-        steps = 1
-    curvature = 1 / np.linspace(segment.radius, end, steps)
-    return [(length / steps, angle * share) for share in curvature / curvature.sum()]
+    steps = 1
+    if end != segment.radius:
+        steps = segment.steps or int((segment.radius + end) / 2 * abs(angle) / SPIRAL_STEP) + 1
+    radii = np.linspace(segment.radius, end, steps)
+    length = abs(angle) / (1 / radii).sum()
+    return [(length, math.copysign(length / radius, angle)) for radius in radii]
 
 
 def _close(name: str, pieces: list[tuple[float, float]]) -> list[tuple[float, float]]:
