@@ -89,6 +89,8 @@ class Driving(Env):
       physics_dt: s, a whole fraction of the control step, at most 5 ms.
     """
 
+    action_high = np.ones(3, np.float32)
+
     def __init__(
         self,
         track: str | Track | Sequence[str | Track] = "speedway",
@@ -125,10 +127,6 @@ class Driving(Env):
     @property
     def action_size(self) -> int:
         return 3
-
-    @property
-    def action_high(self) -> np.ndarray:
-        return np.ones(3, np.float32)
 
     @property
     def backend(self) -> str:
