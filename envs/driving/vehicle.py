@@ -17,20 +17,24 @@ LENGTH, WIDTH = 4.52, 1.94  # m
 WHEELBASE, MEAN_TRACK = 2.64, 1.64  # m
 FRONT_SHARE = 0.52  # of the weight on the front axle
 TO_FRONT, TO_REAR = (1 - FRONT_SHARE) * WHEELBASE, FRONT_SHARE * WHEELBASE  # m from the CG
-CG_HEIGHT = 0.25 + 0.10  # m, with the ride height
+PITCH_ARM = 0.25 + 0.10  # m, of forces along the car: the height of the CG with the ride height
+ROLL_ARM = FRONT_SHARE * 0.07 + (1 - FRONT_SHARE) * 0.09  # m, of forces across: the roll centres
 WHEEL_X = np.float32([TO_FRONT, TO_FRONT, -TO_REAR, -TO_REAR])  # m forwards of the CG
 WHEEL_Y = np.float32([-0.84, 0.84, -0.80, 0.80])  # m to its left
 
 STEER_LOCK, STEER_RATE = math.radians(21), math.radians(360)  # rad, rad/s
 DRAG = 0.4273 + 0.0321 + 0.2083  # N s²/m²: body, front wing, rear wing
-LIFT_FRONT, LIFT_REAR = 0.897 + 0.1286, 0.910 + 0.8332  # N s²/m² downwards: ground effect, wing
+WINGS = np.float32([0.1286, 0.1286, 0.8332, 0.8332]) / 2  # N s²/m² downwards, a wheel
+GROUND_EFFECT = np.float32([0.69, 0.69, 0.70, 0.70]) / 2  # N s²/m², times that of the height
 LARGEST_YAW_RATE = 9.0  # rad/s
 
 SPRING_TIME = 0.05  # s, in which the springs pass an acceleration on to the wheels' loads
 STATIC_LOAD = GRAVITY * MASS / 2 * np.float32([FRONT_SHARE] * 2 + [1 - FRONT_SHARE] * 2)  # N
-PITCH_TRANSFER = MASS * CG_HEIGHT / WHEELBASE / 2 * np.float32([-1, -1, 1, 1])  # N s²/m
-ROLL_TRANSFER = -MASS * CG_HEIGHT / 4 / WHEEL_Y  # N s²/m: half the car's roll on each axle
-LIFT = np.float32([LIFT_FRONT] * 2 + [LIFT_REAR] * 2) / 2  # N s²/m², a wheel
+PITCH_TRANSFER = MASS * PITCH_ARM / WHEELBASE / 2 * np.float32([-1, -1, 1, 1])  # N s²/m
+SPRINGS = 98_219 * np.float32([0.9, 0.9, 1.1, 1.1]) ** 2  # N/m at the wheels, with the levers
+RIDE_HEIGHT = 0.41  # m, the sum over the wheels, at rest
+ROLL_STIFFNESS = WHEEL_Y**2 * SPRINGS
+ROLL_TRANSFER = -MASS * ROLL_ARM * ROLL_STIFFNESS / ROLL_STIFFNESS.sum() / WHEEL_Y  # N s²/m
 
 
 @struct.dataclass
@@ -49,6 +53,7 @@ class Car:
     shifting: jax.Array  # [] s left of the present change of gear
     push_x: jax.Array  # [] m/s², acceleration forwards as the springs feel it
     push_y: jax.Array  # [] m/s², the same to the left
+    sink: jax.Array  # [] m, by which downforce has lowered the four corners together
 
     @property
     def body_velocity(self) -> tuple[jax.Array, jax.Array]:
@@ -76,6 +81,7 @@ def at_rest(x: Float[Array, ""], y: Float[Array, ""], heading: Float[Array, ""])
         shifting=zero,
         push_x=zero,
         push_y=zero,
+        sink=zero,
     )
 
 
@@ -96,11 +102,20 @@ def wheel_directions(steer: Float[Array, ""]) -> tuple[Float[Array, "4"], Float[
     )
 
 
+def downforce(forward: Float[Array, ""], sink: Float[Array, ""]) -> Float[Array, "4"]:
+    r"""N on each wheel, of the wings and of the ground effect, which grows as the car sinks.
+
+    $v^2 (w + c \cdot 2 e^{-3 (1.5 h)^4})$, $h$ the sum of the four ride heights   (simuv2)
+    """
+    height = 1.5 * (RIDE_HEIGHT - sink)
+    return forward**2 * (WINGS + GROUND_EFFECT * 2 * jnp.exp(-3 * height**4))
+
+
 def wheel_loads(
-    forward: Float[Array, ""], push_x: Float[Array, ""], push_y: Float[Array, ""]
+    lift: Float[Array, "4"], push_x: Float[Array, ""], push_y: Float[Array, ""]
 ) -> Float[Array, "4"]:
     """N on each wheel: weight, downforce, and the transfer by pitch and roll, never negative."""
-    load = STATIC_LOAD + LIFT * forward**2 + PITCH_TRANSFER * push_x + ROLL_TRANSFER * push_y
+    load = STATIC_LOAD + lift + PITCH_TRANSFER * push_x + ROLL_TRANSFER * push_y
     return jnp.maximum(load, 0.0)
 
 
@@ -133,7 +148,8 @@ def step_car(
     cos_w, sin_w = wheel_directions(wheel_angle)
     ground_x = forward - car.yaw_rate * WHEEL_Y
     ground_y = leftward + car.yaw_rate * WHEEL_X
-    load = wheel_loads(forward, car.push_x, car.push_y)
+    lift = downforce(forward, car.sink)
+    load = wheel_loads(lift, car.push_x, car.push_y)
     tyre = tyres.tyre_forces(
         ground_x * cos_w + ground_y * sin_w,
         ground_y * cos_w - ground_x * sin_w,
@@ -157,6 +173,7 @@ def step_car(
     velocity_x = car.velocity_x + dt * (c * acceleration - s * push_y)
     velocity_y = car.velocity_y + dt * (s * acceleration + c * push_y)
     yaw_rate = jnp.clip(car.yaw_rate + dt * twist, -LARGEST_YAW_RATE, LARGEST_YAW_RATE)
+    spring = dt / SPRING_TIME
     return Car(
         x=car.x + dt * velocity_x,
         y=car.y + dt * velocity_y,
@@ -168,6 +185,7 @@ def step_car(
         steer=wheel_angle,
         gear=gear,
         shifting=shifting,
-        push_x=car.push_x + dt / SPRING_TIME * (push_x - car.push_x),
-        push_y=car.push_y + dt / SPRING_TIME * (push_y - car.push_y),
+        push_x=car.push_x + spring * (push_x - car.push_x),
+        push_y=car.push_y + spring * (push_y - car.push_y),
+        sink=car.sink + spring * ((lift / SPRINGS).sum() - car.sink),
     )
