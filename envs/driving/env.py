@@ -110,10 +110,10 @@ class Driving(Env):
         self._reward = REWARDS[_known("reward", reward, REWARDS)]
         self.ray_angles = sensing.RAY_ANGLES[_known("sensors", sensors, sensing.RAY_ANGLES)]
         self._anywhere = _known("start", start, ("line", "anywhere")) == "anywhere"
-        self._off_track_end = math.inf if off_track_end is None else off_track_end
-        self._backwards_end = math.inf if backwards_end is None else math.radians(backwards_end)
-        self._slow_end = -math.inf if slow_end is None else slow_end
-        self._slow_steps = round(slow_time * control_hz)
+        self._off_track_end = _limit("off_track_end", off_track_end)
+        self._backwards_end = math.radians(_limit("backwards_end", backwards_end))
+        self._slow_end = -math.inf if slow_end is None else _limit("slow_end", slow_end)
+        self._slow_steps = math.ceil(_limit("slow_time", slow_time) * control_hz)
         several = isinstance(track, Sequence) and not isinstance(track, str)
         self.tracks = tuple(load_track(one) for one in (track if several else (track,)))
         if not self.tracks:
@@ -148,7 +148,7 @@ class Driving(Env):
         if track is None:
             track = jax.random.randint(track_key, (), 0, len(self.tracks))
         elif isinstance(track, int) and not 0 <= track < len(self.tracks):
-            raise ValueError(f"track must be below {len(self.tracks)}, got {track}")
+            raise ValueError(f"track must be an index below {len(self.tracks)}, got {track}")
         track = jnp.asarray(track, jnp.int32)
         s = jnp.zeros(())
         if self._anywhere:
@@ -275,6 +275,13 @@ def _substeps(control_hz: float, physics_dt: float) -> int:
             f"{physics_dt:g} s"
         )
     return substeps
+
+
+def _limit(what: str, value: float | None) -> float:
+    """The value, or infinity for None."""
+    if value is not None and not value > 0:
+        raise ValueError(f"{what} must be above 0 or None, got {value}")
+    return math.inf if value is None else value
 
 
 def _known(what: str, name: str, names: Collection[str]) -> str:
