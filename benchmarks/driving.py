@@ -5,8 +5,7 @@ import time
 import jax
 import numpy as np
 
-import envs
-from envs.driving import Track, from_segments, parse_segments, scripted_driver
+from envs.driving import Driving, Track, from_segments, parse_segments, scripted_driver
 
 INSTANCES = 1024
 STEPS = 50
@@ -25,8 +24,7 @@ def program(track: str | Track):
 
     Returns the program, the states to begin with, and the seconds that compiling took.
     """
-    ends = {"off_track_end": None, "backwards_end": None, "slow_end": None}
-    env = envs.make("driving", track=track, start="anywhere", **ends)
+    env = Driving(track, start="anywhere", off_track_end=None, backwards_end=None, slow_end=None)
     policy = scripted_driver(env.ray_angles)
 
     def step(states, _):
@@ -66,7 +64,7 @@ def measure() -> dict[str, float]:
 def report() -> str:
     """The table, in Markdown."""
     found = measure()
-    real_time = found["rate"] * envs.make("driving").dt
+    real_time = found["rate"] * Driving().dt
     return "\n".join(
         [
             f"## Driving: {INSTANCES} cars on the speedway, 50 Hz control, all sensors",

@@ -19,8 +19,7 @@ from envs.driving.tracks import Track
 SIGHT = 200.0  # m
 
 
-@struct.dataclass
-class TrackBank:
+class TrackBank(struct.PyTreeNode):
     """The tracks one after the other, each with its last and first nodes repeated around it."""
 
     edges: jax.Array  # [rows, 4] m, left x, left y, right x, right y of each node
@@ -110,7 +109,7 @@ def _along(rows, x, y):
 
 def place(
     bank: TrackBank,
-    track: Int[Array, ""],
+    track: Int[Array, ""] | int,
     cell: Int[Array, ""],
     x: Float[Array, ""],
     y: Float[Array, ""],
@@ -154,7 +153,7 @@ def _left_of(start, end, x, y):
 
 
 def point(
-    bank: TrackBank, track: Int[Array, ""], s: Float[Array, ""]
+    bank: TrackBank, track: Int[Array, ""] | int, s: Float[Array, ""]
 ) -> tuple[Int[Array, ""], Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
     """The cell, x m, y m and heading rad of the centre line at s, found by bisection."""
     first = bank.first[track]

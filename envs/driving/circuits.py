@@ -1,7 +1,6 @@
 """Five circuits of our own, and random ones, whose measures span those of TORCS's road tracks."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float
@@ -131,7 +130,7 @@ def crossings(track: Track) -> Bool[np.ndarray, "e e"]:
     start = np.concatenate([track.left, track.right])
     end = np.concatenate([np.roll(edge, -1, 0) for edge in (track.left, track.right)])
 
-    def side(points: Sequence):  # of each point against each piece
+    def side(points: np.ndarray):  # of each point against each piece
         along, to = end - start, points[None] - start[:, None]
         return np.sign(along[:, None, 0] * to[..., 1] - along[:, None, 1] * to[..., 0])
 

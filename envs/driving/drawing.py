@@ -5,6 +5,7 @@ from pathlib import Path
 from string import Template
 
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from envs.driving.sensors import KMH
@@ -16,8 +17,8 @@ PLAYER = Path(__file__).with_name("player.html")
 
 def draw_line(
     track: Track,
-    positions: Float[np.ndarray, "T 2"],
-    speeds: Float[np.ndarray, "T"],
+    positions: Float[ArrayLike, "T 2"],
+    speeds: Float[ArrayLike, "T"],
     path: str | Path,
 ) -> None:
     """The driven line over the track, coloured by speed, as a PNG.
@@ -39,7 +40,9 @@ def draw_line(
         axes.plot(*_closed(edge).T, color="0.45", linewidth=0.8)
     axes.plot(*np.stack([track.left[0], track.right[0]]).T, color="black", linewidth=2)
     pieces = np.stack([positions[:-1], positions[1:]], 1)
-    line = LineCollection(pieces, array=KMH * np.asarray(speeds)[1:], cmap="turbo", linewidth=1.6)
+    line = LineCollection(
+        list(pieces), array=KMH * np.asarray(speeds)[1:], cmap="turbo", linewidth=1.6
+    )
     axes.add_collection(line)
     figure.colorbar(line, ax=axes, label="speed, km/h", shrink=0.8)
     axes.set(title=track.name, xlabel="m", ylabel="m", aspect="equal")
@@ -48,9 +51,9 @@ def draw_line(
 
 def animate(
     track: Track,
-    positions: Float[np.ndarray, "T 2"],
-    headings: Float[np.ndarray, "T"],
-    speeds: Float[np.ndarray, "T"],
+    positions: Float[ArrayLike, "T 2"],
+    headings: Float[ArrayLike, "T"],
+    speeds: Float[ArrayLike, "T"],
     dt: float,
     path: str | Path,
 ) -> None:
@@ -63,7 +66,9 @@ def animate(
       dt: s between two of them.
     """
     stride = max(1, round(1 / (FRAMES_PER_SECOND * dt)))
-    frames = np.column_stack([positions, np.unwrap(headings), KMH * np.asarray(speeds)])[::stride]
+    frames = np.column_stack(
+        [np.asarray(positions), np.unwrap(np.asarray(headings)), KMH * np.asarray(speeds)]
+    )[::stride]
     drive = {
         "name": track.name,
         "dt": stride * dt,

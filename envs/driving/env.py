@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -24,8 +26,7 @@ GRASS_FRICTION, GRASS_ROLLING = 0.4, 0.01
 LONGEST_PHYSICS_STEP = 0.005  # s; see `vehicle.step_car`
 
 
-@struct.dataclass
-class Drive:
+class Drive(struct.PyTreeNode):
     """One instance: the car, where it is, and what has been counted since the start."""
 
     car: Car
@@ -93,7 +94,7 @@ class Driving(Env):
 
     def __init__(
         self,
-        track: str | Track | Sequence[str | Track] = "speedway",
+        track: str | Path | Track | Sequence[str | Path | Track] = "speedway",
         control_hz: float = 50.0,
         reward: str = "progress",
         sensors: str = "snakeoil",
@@ -114,8 +115,8 @@ class Driving(Env):
         self._backwards_end = math.radians(_limit("backwards_end", backwards_end))
         self._slow_end = -math.inf if slow_end is None else _limit("slow_end", slow_end)
         self._slow_steps = math.ceil(_limit("slow_time", slow_time) * control_hz)
-        several = isinstance(track, Sequence) and not isinstance(track, str)
-        self.tracks = tuple(load_track(one) for one in (track if several else (track,)))
+        several = (track,) if isinstance(track, str | Path | Track) else track
+        self.tracks = tuple(load_track(one) for one in several)
         if not self.tracks:
             raise ValueError("track must name at least one track, got none")
         self.bank = banks.make_bank(self.tracks)
@@ -170,10 +171,10 @@ class Driving(Env):
             last_lap=zero,
         )
         place = banks.place(self.bank, track, cell, x, y)
-        return State(drive, self._observe(drive, place), zero, zero, _metrics(drive), {})
+        return State(cast(Any, drive), self._observe(drive, place), zero, zero, _metrics(drive), {})
 
     def step(self, state: State, action: Float[Array, "3"]) -> State:
-        drive = self._move(state.pipeline_state, *controls(action))
+        drive = self._move(cast(Drive, state.pipeline_state), *controls(action))
         place = banks.place(self.bank, drive.track, drive.cell, drive.x, drive.y)
         forward, _ = drive.car.body_velocity
         motion = Motion(forward, wrap(place.heading - drive.heading), place.position)

@@ -6,6 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from envs.driving.tyres import per_axle
+
 RPM = math.pi / 30  # rad/s
 ENGINE_RPM = np.arange(0.0, 10_001.0, 1_000.0)
 ENGINE_TORQUE = np.array([100, 160, 190, 280, 350, 405, 443, 465, 483, 415, 360.0])  # N m
@@ -19,9 +21,9 @@ WHEELSPIN = 0.95  # of the limiter: driven tyres slip, so the wheels get there b
 DIFFERENTIAL_LOCK = 300.0  # N m into the axle, from which both rear wheels turn as one
 DIFFERENTIAL_SLIP = 0.2  # without torque: the largest difference of the wheels, of their sum
 
-BRAKE_TORQUE = np.float32([5951, 5951, 2201, 2201])  # N m at full brake
-WHEEL_RADIUS = np.float32([0.3306, 0.3306, 0.3276, 0.3276])  # m
-WHEEL_INERTIA = np.float32([1.2228, 1.2228, 1.2240, 1.2240])  # kg m², with half the axle
+BRAKE_TORQUE = per_axle(5951.0, 2201.0)  # N m at full brake
+WHEEL_RADIUS = per_axle(0.3306, 0.3276)  # m
+WHEEL_INERTIA = per_axle(1.2228, 1.2240)  # kg m², with half the axle
 
 
 def _torque(rpm):
@@ -38,7 +40,7 @@ def _shift_speeds() -> np.ndarray:
 
 SHIFT_SPEEDS = _shift_speeds().astype(np.float32)
 _SLOPES = np.diff(ENGINE_TORQUE) / np.diff(ENGINE_RPM * RPM)
-_KINKS = np.float32(np.diff(_SLOPES, prepend=0.0))
+_KINKS = np.diff(_SLOPES, prepend=0.0).astype(np.float32)
 
 
 def engine_torque(speed: Float[Array, ""], accelerator: Float[Array, ""]) -> Float[Array, ""]:
@@ -50,7 +52,7 @@ def engine_torque(speed: Float[Array, ""], accelerator: Float[Array, ""]) -> Flo
       speed: $\omega$, rad/s, from idle to the maximum.
       accelerator: $a$ in [0, 1].
     """
-    knots = np.float32(ENGINE_RPM[:-1] * RPM)
+    knots = (ENGINE_RPM[:-1] * RPM).astype(np.float32)
     most = ENGINE_TORQUE[0] + (_KINKS * jnp.maximum(speed - knots, 0.0)).sum()
     drag = ENGINE_BRAKING * (speed - IDLE) / (ENGINE_MAX - IDLE)
     return most * (accelerator * (1 + drag) - drag)
@@ -64,7 +66,7 @@ def engine_speed(wheel_speed: Float[Array, "4"], gear: Int[Array, ""]) -> Float[
 
 def _ratio(gear):
     one_hot = gear == np.arange(1, 7)
-    return jnp.where(one_hot, np.float32(RATIOS), 0.0).sum()
+    return jnp.where(one_hot, RATIOS.astype(np.float32), 0.0).sum()
 
 
 def change_gear(

@@ -24,7 +24,7 @@ OFF_TRACK = -1.0  # m, what every range finder says there
 
 def range_finders(
     bank: TrackBank,
-    track: Int[Array, ""],
+    track: Int[Array, ""] | int,
     cell: Int[Array, ""],
     x: Float[Array, ""],
     y: Float[Array, ""],
@@ -38,7 +38,7 @@ def range_finders(
     round. It meets the edge in the first cell that it cannot leave so. The walk is along the road
     alone, so a road that crosses another one is not seen from there.
     """
-    across = np.deg2rad(np.float32(degrees))
+    across = np.deg2rad(np.array(degrees, np.float32))
     c, s = jnp.cos(heading), jnp.sin(heading)
     ray_x, ray_y = c * np.cos(across) + s * np.sin(across), s * np.cos(across) - c * np.sin(across)
     reach = bank.reach

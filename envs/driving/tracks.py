@@ -194,12 +194,12 @@ def _close(name: str, pieces: list[tuple[float, float]]) -> list[tuple[float, fl
     if len(open_) != 2:
         raise ValueError(f"track {name!r} must have no or two open straights, has {len(open_)}")
     lengths[open_] = 0.0
-    headings = np.exp(1j * (np.cumsum(angles) - angles))[open_]
+    headings = (np.cumsum(angles) - angles)[open_]
     gap = _corners(lengths, angles)[-1]
-    directions = np.stack([headings.real, headings.imag])
+    directions = np.stack([np.cos(headings), np.sin(headings)])
     if abs(np.linalg.det(directions)) < 1e-6:
         raise ValueError(f"the open straights of track {name!r} are parallel: they cannot close it")
-    lengths[open_] = np.linalg.solve(directions, [-gap.real, -gap.imag])
+    lengths[open_] = -np.linalg.solve(directions, [gap.real, gap.imag])
     if lengths[open_].min() <= 0:
         raise ValueError(
             f"track {name!r} closes only with straights of {lengths[open_].round(1).tolist()} m"
@@ -213,7 +213,7 @@ def _chord(length, angle):
     return length * np.sinc(half / np.pi) * np.exp(1j * half)
 
 
-def _corners(lengths, angles):
+def _corners(lengths, angles) -> np.ndarray:
     """[n + 1] complex, where the pieces begin and the last one ends."""
     start_heading = np.cumsum(angles) - angles
     steps = _chord(lengths, angles) * np.exp(1j * start_heading)

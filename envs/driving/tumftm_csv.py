@@ -66,8 +66,8 @@ def from_points(
     loop = np.concatenate([middle, middle[:1]])
     (tck, at) = splprep(loop.T, s=len(middle) * SMOOTHING**2, per=True)
     fine = np.linspace(0, 1, 40 * len(middle) + 1)
-    dx, dy = splev(fine, tck, 1)
-    ddx, ddy = splev(fine, tck, 2)
+    dx, dy = np.array(splev(fine, tck, 1))
+    ddx, ddy = np.array(splev(fine, tck, 2))
     speed = np.hypot(dx, dy)
     curvature = np.abs(dx * ddy - dy * ddx) / speed**3
     s = _integral(speed, fine)
@@ -75,13 +75,13 @@ def from_points(
     cells = _integral(speed / cell, fine)
     nodes = np.interp(np.linspace(0, cells[-1], int(np.ceil(cells[-1])) + 1)[:-1], cells, fine)
 
-    x, y = splev(nodes, tck)
+    x, y = np.array(splev(nodes, tck))
     heading = np.unwrap(np.arctan2(dy, dx))
     turn = 2 * np.pi * round((heading[-1] - heading[0]) / (2 * np.pi))
     return Track(
         name=name,
-        x=np.asarray(x),
-        y=np.asarray(y),
+        x=x,
+        y=y,
         heading=np.interp(nodes, fine, heading),
         s=np.interp(nodes, fine, s),
         width=np.interp(nodes, at, np.append(width, width[0])),

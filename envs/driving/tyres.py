@@ -10,6 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+
+def per_axle(front: float, rear: float) -> Float[np.ndarray, "4"]:
+    """A number of each wheel that is the same on both sides."""
+    return np.array([front, front, rear, rear], np.float32)
+
+
 STIFFNESS, DYNAMIC_FRICTION, CURVATURE = 20.0, 0.80, 0.7  # slope at 0, share of the peak, E
 SHAPE = 2 - 2 / math.pi * math.asin(DYNAMIC_FRICTION)  # C
 STEEPNESS = STIFFNESS / SHAPE  # B
@@ -19,8 +25,8 @@ LARGEST_SLIP = 1.5
 MU = 1.6
 LOAD_FACTOR_MIN, LOAD_FACTOR_MAX = 0.8, 1.6
 LOAD_DECAY = math.log((1 - LOAD_FACTOR_MIN) / (LOAD_FACTOR_MAX - LOAD_FACTOR_MIN))
-RATED_LOAD = np.float32([3518, 3518, 3247, 3247])  # N, where the load factor is 1
-CAMBER_FACTOR = np.float32([1.0476, 1.0476, 1.0405, 1.0405])  # of -4 and -3 degrees
+RATED_LOAD = per_axle(3518.0, 3247.0)  # N, where the load factor is 1
+CAMBER_FACTOR = per_axle(1.0476, 1.0405)  # of -4 and -3 degrees
 
 SPEED_FLOOR = 3.0  # m/s
 """Slip is measured against at least this speed.
@@ -31,8 +37,10 @@ forces fade to exactly zero with the motion. Above it nothing changes.
 """
 
 
-ARCTAN = np.float32([-0.01172120, 0.05265332, -0.11643287, 0.19354346, -0.33262347, 0.99997726])
-COSINE = np.float32([(-1) ** n / math.factorial(2 * n) for n in range(6, -1, -1)])
+ARCTAN = np.array(
+    [-0.01172120, 0.05265332, -0.11643287, 0.19354346, -0.33262347, 0.99997726], np.float32
+)
+COSINE = np.array([(-1) ** n / math.factorial(2 * n) for n in range(6, -1, -1)], np.float32)
 
 
 class TyreForces(NamedTuple):
@@ -81,7 +89,7 @@ def friction_limit(load: Float[Array, "4"], surface: Float[Array, "4"]) -> Float
     sensitivity = LOAD_FACTOR_MIN + (LOAD_FACTOR_MAX - LOAD_FACTOR_MIN) * jnp.exp(
         LOAD_DECAY / RATED_LOAD * load
     )
-    return MU * CAMBER_FACTOR * sensitivity * surface * load
+    return load * surface * sensitivity * (MU * CAMBER_FACTOR)
 
 
 def tyre_forces(

@@ -9,6 +9,7 @@ from flax import struct
 from jaxtyping import Array, Float
 
 from envs.driving import powertrain, tyres
+from envs.driving.tyres import per_axle
 
 GRAVITY = 9.80665  # m/s²
 MASS = 1150.0 + 94.0  # kg, with driver and a full tank
@@ -19,26 +20,25 @@ FRONT_SHARE = 0.52  # of the weight on the front axle
 TO_FRONT, TO_REAR = (1 - FRONT_SHARE) * WHEELBASE, FRONT_SHARE * WHEELBASE  # m from the CG
 PITCH_ARM = 0.25 + 0.10  # m, of forces along the car: the height of the CG with the ride height
 ROLL_ARM = FRONT_SHARE * 0.07 + (1 - FRONT_SHARE) * 0.09  # m, of forces across: the roll centres
-WHEEL_X = np.float32([TO_FRONT, TO_FRONT, -TO_REAR, -TO_REAR])  # m forwards of the CG
-WHEEL_Y = np.float32([-0.84, 0.84, -0.80, 0.80])  # m to its left
+WHEEL_X = per_axle(TO_FRONT, -TO_REAR)  # m forwards of the CG
+WHEEL_Y = np.array([-0.84, 0.84, -0.80, 0.80], np.float32)  # m to its left
 
 STEER_LOCK, STEER_RATE = math.radians(21), math.radians(360)  # rad, rad/s
 DRAG = 0.4273 + 0.0321 + 0.2083  # N s²/m²: body, front wing, rear wing
-WINGS = np.float32([0.1286, 0.1286, 0.8332, 0.8332]) / 2  # N s²/m² downwards, a wheel
-GROUND_EFFECT = np.float32([0.69, 0.69, 0.70, 0.70]) / 2  # N s²/m², times that of the height
+WINGS = per_axle(0.1286, 0.8332) / 2  # N s²/m² downwards, a wheel
+GROUND_EFFECT = per_axle(0.69, 0.70) / 2  # N s²/m², times that of the height
 LARGEST_YAW_RATE = 9.0  # rad/s
 
 SPRING_TIME = 0.05  # s, in which the springs pass an acceleration on to the wheels' loads
-STATIC_LOAD = GRAVITY * MASS / 2 * np.float32([FRONT_SHARE] * 2 + [1 - FRONT_SHARE] * 2)  # N
-PITCH_TRANSFER = MASS * PITCH_ARM / WHEELBASE / 2 * np.float32([-1, -1, 1, 1])  # N s²/m
-SPRINGS = 98_219 * np.float32([0.9, 0.9, 1.1, 1.1]) ** 2  # N/m at the wheels, with the levers
+STATIC_LOAD = GRAVITY * MASS / 2 * per_axle(FRONT_SHARE, 1 - FRONT_SHARE)  # N
+PITCH_TRANSFER = MASS * PITCH_ARM / WHEELBASE / 2 * per_axle(-1.0, 1.0)  # N s²/m
+SPRINGS = 98_219 * per_axle(0.9, 1.1) ** 2  # N/m at the wheels, with the levers
 RIDE_HEIGHT = 0.41  # m, the sum over the wheels, at rest
 ROLL_STIFFNESS = WHEEL_Y**2 * SPRINGS
 ROLL_TRANSFER = -MASS * ROLL_ARM * ROLL_STIFFNESS / ROLL_STIFFNESS.sum() / WHEEL_Y  # N s²/m
 
 
-@struct.dataclass
-class Car:
+class Car(struct.PyTreeNode):
     """All that a step of the car changes. World axes: x east, y north, heading anticlockwise."""
 
     x: jax.Array  # [] m

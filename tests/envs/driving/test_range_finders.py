@@ -44,8 +44,8 @@ def test_rays_end_at_the_nearest_edge(name):
         edge[cell] + share[:, None] * (np.roll(edge, -1, 0)[cell] - edge[cell])
         for edge in (track.left, track.right)
     )
-    origin = np.float32(right + across[:, None] * (left - right))
-    heading = np.float32(rng.uniform(-np.pi, np.pi, n))
+    origin = (right + across[:, None] * (left - right)).astype(np.float32)
+    heading = rng.uniform(-np.pi, np.pi, n).astype(np.float32)
 
     one = bank.make_bank([track])
     rays = jax.jit(

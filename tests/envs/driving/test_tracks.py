@@ -167,7 +167,7 @@ def test_walking_a_lap_leads_once_over_the_start_line(name):
             place = banks.place(bank, 0, cell, *point)
             return (place.cell, crossed + place.crossed), (place.cell, place.s)
 
-        points = np.float32(np.stack([x, y], -1))[:: int(direction)]
+        points = np.stack([x, y], -1).astype(np.float32)[:: int(direction)]
         points = np.concatenate([points, points[:2]])
         start = banks.point(bank, 0, jnp.float32(s[:: int(direction)][0]))[0]
         (_, crossed), (cells, found) = jax.jit(

@@ -17,7 +17,8 @@ def on_plane(controls, seconds, car=None, dt=DT):
     asphalt, rolling = jnp.full(4, 1.2), jnp.full(4, 0.001)
 
     def step(car, t):
-        car = step_car(car, *map(jnp.float32, controls(car, t)), asphalt, rolling, dt)
+        steer, throttle, brake = map(jnp.float32, controls(car, t))
+        car = step_car(car, steer, throttle, brake, asphalt, rolling, dt)
         return car, car
 
     car = at_rest(*jnp.zeros(3)) if car is None else car
@@ -152,7 +153,7 @@ def test_full_brakes_stop_in_the_closed_form_of_the_model(kmh):
 
 def test_grip_is_the_published_law():
     """Section 4.4's numbers, to their three digits."""
-    slip = np.float32([0.02, 0.05, 0.08, 0.1, 0.15, 0.2, 0.3, 0.5, 1, 1.5, 9])
+    slip = jnp.array([0.02, 0.05, 0.08, 0.1, 0.15, 0.2, 0.3, 0.5, 1, 1.5, 9])
     published = [0.376, 0.733, 0.893, 0.949, 1.021, 1.055, 1.089, 1.125, 1.207, 1.302, 1.302]
     np.testing.assert_allclose(tyres.grip(slip), published, rtol=0, atol=6e-4)
 
@@ -163,11 +164,11 @@ def test_the_short_series_are_arctan_and_sine():
     x = tyres.STEEPNESS * s
     bend = np.arctan(x * (1 - tyres.CURVATURE) + tyres.CURVATURE * np.arctan(x))
     exact = np.sin(tyres.SHAPE * bend) * (1 + tyres.SKID_GAIN * s)
-    np.testing.assert_allclose(tyres.grip(np.float32(s)), exact, rtol=0, atol=5e-6)
+    np.testing.assert_allclose(tyres.grip(jnp.float32(s)), exact, rtol=0, atol=5e-6)
 
 
 def test_friction_is_the_tyres_own_at_the_rated_load():
-    limit = tyres.friction_limit(tyres.RATED_LOAD, jnp.ones(4))
+    limit = tyres.friction_limit(jnp.asarray(tyres.RATED_LOAD), jnp.ones(4))
     expected = tyres.RATED_LOAD * tyres.MU * tyres.CAMBER_FACTOR
     np.testing.assert_allclose(limit, expected, rtol=1e-6)
 
@@ -231,9 +232,11 @@ def test_a_car_at_rest_stays_at_rest():
         assert not np.asarray(moved).any()
 
 
-@pytest.mark.parametrize("dt", [0.001, 0.0025, 0.005])
-@pytest.mark.parametrize("hold", [0.01, 0.2, 2.0])  # s that a random action lasts
+@pytest.mark.parametrize(
+    ("dt", "hold"), [(0.0025, 0.01), (0.0025, 0.2), (0.005, 0.01), (0.005, 2.0)]
+)
 def test_any_actions_keep_the_car_finite(dt, hold):
+    """Each random action lasts `hold` s."""
     actions = jax.random.choice(
         jax.random.key(round(1000 * hold)), jnp.array([-1.0, -0.1, 0.0, 0.3, 1.0]), (64, 800, 3)
     )
