@@ -16,6 +16,11 @@ def per_axle(front: float, rear: float) -> Float[np.ndarray, "4"]:
     return np.array([front, front, rear, rear], np.float32)
 
 
+def total(values: Float[Array, "4"]) -> Float[Array, ""]:
+    """The sum over the wheels; written out, since XLA fuses additions but not so short a sum."""
+    return values[0] + values[1] + values[2] + values[3]
+
+
 STIFFNESS, DYNAMIC_FRICTION, CURVATURE = 20.0, 0.80, 0.7  # slope at 0, share of the peak, E
 SHAPE = 2 - 2 / math.pi * math.asin(DYNAMIC_FRICTION)  # C
 STEEPNESS = STIFFNESS / SHAPE  # B

@@ -9,7 +9,7 @@ from flax import struct
 from jaxtyping import Array, Float
 
 from envs.driving import powertrain, tyres
-from envs.driving.tyres import per_axle
+from envs.driving.tyres import per_axle, total
 
 GRAVITY = 9.80665  # m/s²
 MASS = 1150.0 + 94.0  # kg, with driver and a full tank
@@ -159,10 +159,10 @@ def step_car(
     force_x = tyre.along * cos_w - tyre.across * sin_w
     force_y = tyre.along * sin_w + tyre.across * cos_w
     speed = jnp.sqrt(forward**2 + leftward**2)
-    resistance = (rolling * load).sum() / jnp.maximum(speed, 1.0)
-    push_x = (force_x.sum() - resistance * forward) / MASS
-    push_y = (force_y.sum() - resistance * leftward) / MASS
-    twist = (force_y * WHEEL_X - force_x * WHEEL_Y).sum() / YAW_INERTIA
+    resistance = total(rolling * load) / jnp.maximum(speed, 1.0)
+    push_x = (total(force_x) - resistance * forward) / MASS
+    push_y = (total(force_y) - resistance * leftward) / MASS
+    twist = total(force_y * WHEEL_X - force_x * WHEEL_Y) / YAW_INERTIA
 
     acceleration = push_x - DRAG / MASS * jnp.abs(forward) * forward
     # The ground under the wheels moves on too: without it they would seem heavier than they are.
@@ -187,5 +187,5 @@ def step_car(
         shifting=shifting,
         push_x=car.push_x + spring * (push_x - car.push_x),
         push_y=car.push_y + spring * (push_y - car.push_y),
-        sink=car.sink + spring * ((lift / SPRINGS).sum() - car.sink),
+        sink=car.sink + spring * (total(lift / SPRINGS) - car.sink),
     )
