@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Int
 
-from envs.base import Env, State
+from envs.base import Action, Env, State
 from envs.driving import bank as banks
 from envs.driving import sensors as sensing
 from envs.driving.bank import Place
@@ -173,7 +173,7 @@ class Driving(Env):
         place = banks.place(self.bank, track, cell, x, y)
         return State(cast(Any, drive), self._observe(drive, place), zero, zero, _metrics(drive), {})
 
-    def step(self, state: State, action: Float[Array, "3"]) -> State:
+    def step(self, state: State, action: Action) -> State:
         drive = self._move(cast(Drive, state.pipeline_state), *controls(action))
         place = banks.place(self.bank, drive.track, drive.cell, drive.x, drive.y)
         forward, _ = drive.car.body_velocity
@@ -243,7 +243,7 @@ class Driving(Env):
         return sensing.observe(car, place, rays, engine_speed(car.wheel_speed, car.gear))
 
 
-def controls(action: Float[Array, "3"]) -> tuple[jax.Array, jax.Array, jax.Array]:
+def controls(action: Action) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Steer in [-1, 1], accelerator and brake in [0, 1], of an action in [-1, 1]^3.
 
     The brake acts on its positive half alone: the zeros of a fresh actor are half throttle and no
