@@ -1,23 +1,22 @@
 """Tracks from points along a lap, as in the TUMFTM race track database."""
 
+import math
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from scipy.interpolate import splev, splprep
 
 from envs.driving.tracks import LONGEST_CELL, SAGITTA, Track
 
 CSV_COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")
 LARGEST_STEP_BACK = 3.0  # from the last point of a CSV to its first, of its longest step
-SMOOTHING = 0.1  # m, how far the curve may leave the points of a CSV, root mean square
+GRID, SMOOTHING = 0.5, 4.0  # m along the track: of samples, and the standard deviation
 
 
 def read_csv(path: Path) -> Track:
     """The track of a TUMFTM file: x_m, y_m, w_tr_right_m, w_tr_left_m of points along a lap.
 
-    The middle between the edges is smoothed by a periodic cubic spline; the start is its first
-    point.
+    The middle between the edges is smoothed; the start is its first point.
     """
     points = _csv_points(path)
     right, left = points.T[2:]
@@ -62,35 +61,43 @@ def _csv_points(path: Path) -> np.ndarray:
 def from_points(
     name: str, middle: Float[np.ndarray, "n 2"], width: Float[np.ndarray, "n"]
 ) -> Track:
-    """The track along a smooth curve near these points, m, the first one not repeated."""
-    loop = np.concatenate([middle, middle[:1]])
-    (tck, at) = splprep(loop.T, s=len(middle) * SMOOTHING**2, per=True)
-    fine = np.linspace(0, 1, 40 * len(middle) + 1)
-    dx, dy = np.array(splev(fine, tck, 1))
-    ddx, ddy = np.array(splev(fine, tck, 2))
-    speed = np.hypot(dx, dy)
-    curvature = np.abs(dx * ddy - dy * ddx) / speed**3
-    s = _integral(speed, fine)
-    cell = np.minimum(np.sqrt(8 * SAGITTA / np.maximum(curvature, 1e-9)), LONGEST_CELL)
-    cells = _integral(speed / cell, fine)
-    nodes = np.interp(np.linspace(0, cells[-1], int(np.ceil(cells[-1])) + 1)[:-1], cells, fine)
+    """The track along a smooth curve near these points, m, the first one not repeated.
 
-    x, y = np.array(splev(nodes, tck))
-    heading = np.unwrap(np.arctan2(dy, dx))
-    turn = 2 * np.pi * round((heading[-1] - heading[0]) / (2 * np.pi))
+    The polygon through the points is smoothed by a Gaussian along it: no curve overshoots, where
+    a spline through points 5 m apart would make a hairpin tighter than it is.
+    """
+    loop = np.concatenate([middle, middle[:1]])
+    at = _running(np.linalg.norm(np.diff(loop, axis=0), axis=-1))
+    n = math.ceil(at[-1] / GRID)
+    even = np.arange(n) * at[-1] / n
+    polygon = np.interp(even, at, loop[:, 0]) + 1j * np.interp(even, at, loop[:, 1])
+    frequency = 2 * np.pi * np.fft.fftfreq(n, at[-1] / n)
+    spectrum = np.fft.fft(polygon) * np.exp(-((frequency * SMOOTHING) ** 2) / 2)
+    curve, slope, bend = (
+        np.append(values, values[0])
+        for values in np.fft.ifft(spectrum * (1j * frequency) ** np.array([[0], [1], [2]]))
+    )
+    curvature = np.abs((slope.conj() * bend).imag) / np.abs(slope) ** 3
+    cell = np.minimum(np.sqrt(8 * SAGITTA / np.maximum(curvature, 1e-9)), LONGEST_CELL)
+
+    s = _running(np.abs(np.diff(curve)))
+    cells = _running(np.diff(s) * (1 / cell[1:] + 1 / cell[:-1]) / 2)
+    node = np.interp(np.linspace(0, cells[-1], math.ceil(cells[-1]) + 1)[:-1], cells, s)
+    heading = np.unwrap(np.angle(slope))
     return Track(
         name=name,
-        x=x,
-        y=y,
-        heading=np.interp(nodes, fine, heading),
-        s=np.interp(nodes, fine, s),
-        width=np.interp(nodes, at, np.append(width, width[0])),
+        x=np.interp(node, s, curve.real),
+        y=np.interp(node, s, curve.imag),
+        heading=np.interp(node, s, heading),
+        s=node,
+        width=np.interp(
+            np.interp(node, s, np.append(even, at[-1])), at, np.append(width, width[0])
+        ),
         length=float(s[-1]),
-        turn=turn,
+        turn=2 * np.pi * round((heading[-1] - heading[0]) / (2 * np.pi)),
     )
 
 
-def _integral(values, at):
-    """Running integral by the trapezium rule, from 0."""
-    steps = np.diff(at) * (values[1:] + values[:-1]) / 2
+def _running(steps):
+    """Running sum, from 0."""
     return np.concatenate([[0.0], np.cumsum(steps)])

@@ -101,13 +101,17 @@ def write_csv(folder, rows, header="# x_m,y_m,w_tr_right_m,w_tr_left_m"):
 
 @pytest.mark.parametrize("noise", [0.0, 0.1])  # m: what maps of real tracks have
 def test_a_csv_is_smoothed_to_its_curve(tmp_path, noise):
-    """Edges within 0.3 m of the ellipse's, though the points be 0.1 m off; first point first."""
+    """Edges within 0.4 m of the ellipse's, first point first.
+
+    Smoothing cuts the sharpest bend (72 m) by 0.11 m and chords of 8.5 m by 0.08 m on the mean;
+    three standard errors of the smoothed noise are 0.2 m.
+    """
     track = load_track(write_csv(tmp_path, csv_rows(noise=noise)))
     t = np.linspace(0, 2 * np.pi, 20_000)
     curve = np.stack([200 * np.cos(t), 120 * np.sin(t)], -1)
     for edge, distance in ((track.left, 7.0), (track.right, 5.0)):
         apart = np.linalg.norm(edge[:, None] - curve, axis=-1).min(-1)
-        np.testing.assert_allclose(apart, distance, atol=0.3)
+        np.testing.assert_allclose(apart, distance, atol=0.4)
     assert track.length == pytest.approx(
         np.linalg.norm(np.diff(curve, axis=0), axis=-1).sum(), rel=0.01
     )
@@ -115,6 +119,18 @@ def test_a_csv_is_smoothed_to_its_curve(tmp_path, noise):
     assert np.hypot(track.x[0] - 199, track.y[0]) < 0.5  # the middle lies 1 m to the left
     curvature = np.abs(np.diff(track.heading) / np.diff(track.s))
     assert curvature.max() < 2 * 200 / 120**2  # not that of the noise, some 0.2 / m
+
+
+def test_a_hairpin_of_a_csv_stays_wider_than_its_road(tmp_path):
+    """Radius 10 m, 15 m wide, points 5 m apart: a spline through them would turn within 7.5 m."""
+    park = from_segments("park", parse_segments("S150 L10/180 S300 L10/180 S150"), 15.0)
+    at = np.arange(0, park.length, 5.0)
+    s = np.append(park.s, park.length)
+    x, y = (np.interp(at, s, np.append(v, v[0])) for v in (park.x, park.y))
+    rows = [f"{x:.4f},{y:.4f},7.5,7.5" for x, y in zip(x, y, strict=True)]
+    track = load_track(write_csv(tmp_path, rows))
+    curvature = np.diff(track.heading) / np.diff(track.s)
+    assert 8.5 < 1 / curvature.max() < 10
 
 
 def test_a_repeated_last_point_is_the_first(tmp_path):
