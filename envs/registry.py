@@ -7,6 +7,7 @@ from typing import Any
 import jax
 
 from envs.base import Env
+from envs.driving.env import Driving
 from envs.interop import brax
 from envs.mujoco_env import ENGINES, MujocoEnv
 from envs.mujoco_tasks.ant import Ant
@@ -60,6 +61,7 @@ _SPECS = {
         _mujoco("reacher", Reacher),
         _mujoco("pusher", Pusher),
         _mujoco("humanoid_standup", HumanoidStandup),
+        EnvSpec("driving", ("jax",), None, 10_000, Driving),  # 200 s at 50 Hz
     )
 }
 

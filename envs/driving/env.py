@@ -1,0 +1,291 @@
+"""The driving environment: a car on a track of a bank, as a `brax.envs.base.Env`."""
+
+import math
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Array, Int
+
+from envs.base import Action, Env, State
+from envs.driving import bank as banks
+from envs.driving import sensors as sensing
+from envs.driving.bank import Place
+from envs.driving.loaders import load_track
+from envs.driving.powertrain import engine_speed
+from envs.driving.rewards import REWARDS, Motion, progress_kmh
+from envs.driving.sensors import KMH
+from envs.driving.tracks import Track
+from envs.driving.vehicle import WHEEL_X, WHEEL_Y, Car, at_rest, step_car, wrap
+
+GRASS_FRICTION, GRASS_ROLLING = 0.4, 0.01
+LONGEST_PHYSICS_STEP = 0.005  # s; see `vehicle.step_car`
+
+
+class Drive(struct.PyTreeNode):
+    """One instance: the car, where it is, and what has been counted since the start."""
+
+    car: Car
+    track: jax.Array  # [] i32, index into the bank
+    cell: jax.Array  # [] i32
+    crossings: jax.Array  # [] i32, of the start line, forwards less backwards
+    start: jax.Array  # [] m, s at the start
+    distance: jax.Array  # [] m along the centre line from the start
+    steps: jax.Array  # [] i32, control steps
+    off_steps: jax.Array  # [] i32, of them off the track
+    slow_steps: jax.Array  # [] i32, the latest ones without progress
+    laps: jax.Array  # [] i32, completed
+    lap_began: jax.Array  # [] s
+    last_lap: jax.Array  # [] s, 0 before the first lap's end
+
+    @property
+    def x(self) -> jax.Array:
+        """m"""
+        return self.car.x
+
+    @property
+    def y(self) -> jax.Array:
+        """m"""
+        return self.car.y
+
+    @property
+    def heading(self) -> jax.Array:
+        """rad"""
+        return self.car.heading
+
+    @property
+    def speed(self) -> jax.Array:
+        """m/s over the ground."""
+        return jnp.sqrt(self.car.velocity_x**2 + self.car.velocity_y**2)
+
+
+class Driving(Env):
+    """TORCS's sensors and car on closed tracks.
+
+    | | |
+    |---|---|
+    | action [3] in [-1, 1] | steer (+1 full left), accelerator and brake: see `controls` |
+    | observation [29] | angle, 19 range finders, trackPos, speeds, wheels, rpm: `sensors.observe` |
+    | reward | by name: `rewards.REWARDS` |
+    | start | at rest on the centre line, at s = 0 or anywhere |
+    | end | off the track, backwards, or no progress |
+
+    An action that is not a number counts as 0.
+
+    Args:
+      track: a name, a file (.xml, .csv), a `Track`, or several of them: a bank, of which `reset`
+        takes one by its index or draws one.
+      control_hz: control steps a second.
+      reward: of `rewards.REWARDS`.
+      sensors: "snakeoil" or "scr", the angles of the range finders.
+      start: "line" or "anywhere".
+      off_track_end: |trackPos| beyond which an episode ends; None for never.
+      backwards_end: degrees between car and track beyond which it ends; None for never.
+      slow_end: km/h along the track below which, for `slow_time` s on end, it ends; None for never.
+      slow_time: s.
+      physics_dt: s, a whole fraction of the control step, at most 5 ms.
+    """
+
+    action_high = np.ones(3, np.float32)
+
+    def __init__(
+        self,
+        track: str | Path | Track | Sequence[str | Path | Track] = "speedway",
+        control_hz: float = 50.0,
+        reward: str = "progress",
+        sensors: str = "snakeoil",
+        start: str = "line",
+        off_track_end: float | None = 1.0,
+        backwards_end: float | None = 90.0,
+        slow_end: float | None = 5.0,
+        slow_time: float = 10.0,
+        physics_dt: float = 0.0025,
+    ):
+        self._substeps = _substeps(control_hz, physics_dt)
+        self._dt = 1 / control_hz
+        self._physics_dt = physics_dt
+        self._reward = REWARDS[_known("reward", reward, REWARDS)]
+        self.ray_angles = sensing.RAY_ANGLES[_known("sensors", sensors, sensing.RAY_ANGLES)]
+        self._anywhere = _known("start", start, ("line", "anywhere")) == "anywhere"
+        self._off_track_end = _limit("off_track_end", off_track_end)
+        self._backwards_end = math.radians(_limit("backwards_end", backwards_end))
+        self._slow_end = -math.inf if slow_end is None else _limit("slow_end", slow_end)
+        self._slow_steps = math.ceil(_limit("slow_time", slow_time) * control_hz)
+        several = (track,) if isinstance(track, str | Path | Track) else track
+        self.tracks = tuple(load_track(one) for one in several)
+        if not self.tracks:
+            raise ValueError("track must name at least one track, got none")
+        self.bank = banks.make_bank(self.tracks)
+
+    @property
+    def observation_size(self) -> int:
+        return 29
+
+    @property
+    def action_size(self) -> int:
+        return 3
+
+    @property
+    def backend(self) -> str:
+        return "jax"
+
+    @property
+    def dt(self) -> float:
+        """s, of a control step."""
+        return self._dt
+
+    def reset(self, rng: jax.Array, track: int | Int[Array, ""] | None = None) -> State:
+        """At rest on the centre line.
+
+        Args:
+          rng: key of the track, where none is given, and of the place, where it is drawn.
+          track: index into `tracks`.
+        """
+        track_key, start_key = jax.random.split(rng)
+        if track is None:
+            track = jax.random.randint(track_key, (), 0, len(self.tracks))
+        elif isinstance(track, int) and not 0 <= track < len(self.tracks):
+            raise ValueError(f"track must be an index below {len(self.tracks)}, got {track}")
+        track = jnp.asarray(track, jnp.int32)
+        s = jnp.zeros(())
+        if self._anywhere:
+            s = jax.random.uniform(start_key) * self.bank.length[track]
+        cell, x, y, heading = banks.point(self.bank, track, s)
+        none, zero = jnp.zeros((), jnp.int32), jnp.zeros(())
+        drive = Drive(
+            car=at_rest(x, y, wrap(heading)),
+            track=track,
+            cell=cell,
+            crossings=none,
+            start=s,
+            distance=zero,
+            steps=none,
+            off_steps=none,
+            slow_steps=none,
+            laps=none,
+            lap_began=zero,
+            last_lap=zero,
+        )
+        place = banks.place(self.bank, track, cell, x, y)
+        return State(cast(Any, drive), self._observe(drive, place), zero, zero, _metrics(drive), {})
+
+    def step(self, state: State, action: Action) -> State:
+        drive = self._move(cast(Drive, state.pipeline_state), *controls(action))
+        place = banks.place(self.bank, drive.track, drive.cell, drive.x, drive.y)
+        forward, _ = drive.car.body_velocity
+        motion = Motion(forward, wrap(place.heading - drive.heading), place.position)
+        drive = self._count(drive, place, motion)
+        return state.replace(
+            pipeline_state=drive,
+            obs=self._observe(drive, place),
+            reward=self._reward(motion),
+            done=self._ended(drive, motion).astype(jnp.float32),
+            metrics={**state.metrics, **_metrics(drive)},
+        )
+
+    def _move(self, drive: Drive, steer, accelerator, brake) -> Drive:
+        """The car after the physics steps of one control step."""
+        bank, track = self.bank, drive.track
+
+        def substep(_, carry):
+            car, cell, crossings = carry
+            place = banks.place(bank, track, cell, car.x, car.y)
+            turned = car.heading - place.heading
+            to_left = WHEEL_X * jnp.sin(turned) + WHEEL_Y * jnp.cos(turned)
+            on_road = jnp.abs(place.position + 2 / place.width * to_left) <= 1
+            friction = jnp.where(on_road, bank.friction[track], GRASS_FRICTION)
+            rolling = jnp.where(on_road, bank.rolling_resistance[track], GRASS_ROLLING)
+            car = step_car(car, steer, accelerator, brake, friction, rolling, self._physics_dt)
+            return car, place.cell, crossings + place.crossed
+
+        carry = (drive.car, drive.cell, drive.crossings)
+        car, cell, crossings = jax.lax.fori_loop(0, self._substeps, substep, carry)
+        return drive.replace(car=car, cell=cell, crossings=crossings)
+
+    def _count(self, drive: Drive, place: Place, motion: Motion) -> Drive:
+        """Distance, laps and times at the end of a control step."""
+        length = self.bank.length[drive.track]
+        crossings = drive.crossings + place.crossed
+        distance = crossings * length + place.s - drive.start
+        steps = drive.steps + 1
+
+        laps = jnp.maximum(drive.laps, jnp.floor(distance / length).astype(jnp.int32))
+        too_far = (distance - laps * length) / jnp.maximum(distance - drive.distance, 1e-3)
+        lap_ended = (steps - jnp.clip(too_far, 0.0, 1.0)) * self._dt
+        finished = laps > drive.laps
+        slow = progress_kmh(motion) < self._slow_end
+        return drive.replace(
+            cell=place.cell,
+            crossings=crossings,
+            distance=distance,
+            steps=steps,
+            off_steps=drive.off_steps + (jnp.abs(motion.position) > 1),
+            slow_steps=jnp.where(slow, drive.slow_steps + 1, 0),
+            laps=laps,
+            lap_began=jnp.where(finished, lap_ended, drive.lap_began),
+            last_lap=jnp.where(finished, lap_ended - drive.lap_began, drive.last_lap),
+        )
+
+    def _ended(self, drive: Drive, motion: Motion) -> jax.Array:
+        off_track = jnp.abs(motion.position) > self._off_track_end
+        backwards = jnp.abs(motion.angle) > self._backwards_end
+        return off_track | backwards | (drive.slow_steps >= self._slow_steps)
+
+    def _observe(self, drive: Drive, place: Place) -> jax.Array:
+        car = drive.car
+        rays = sensing.range_finders(
+            self.bank, drive.track, place.cell, car.x, car.y, car.heading, self.ray_angles
+        )
+        return sensing.observe(car, place, rays, engine_speed(car.wheel_speed, car.gear))
+
+
+def controls(action: Action) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Steer in [-1, 1], accelerator and brake in [0, 1], of an action in [-1, 1]^3.
+
+    The brake acts on its positive half alone: the zeros of a fresh actor are half throttle and no
+    brake, and the car moves off.
+    """
+    action = jnp.clip(jnp.nan_to_num(action.astype(jnp.float32)), -1.0, 1.0)
+    return action[0], (action[1] + 1) / 2, jnp.maximum(action[2], 0.0)
+
+
+def _metrics(drive: Drive) -> dict[str, jax.Array]:
+    return {
+        "distance": drive.distance,  # m
+        "laps": drive.laps.astype(jnp.float32),
+        "last_lap_time": drive.last_lap,  # s
+        "off_track": drive.off_steps / jnp.maximum(drive.steps, 1),  # share of the steps so far
+        "speed": drive.speed * KMH,  # km/h
+    }
+
+
+def _substeps(control_hz: float, physics_dt: float) -> int:
+    if not (control_hz > 0 and 0 < physics_dt <= LONGEST_PHYSICS_STEP):
+        raise ValueError(
+            f"control_hz must be above 0 and physics_dt in (0, {LONGEST_PHYSICS_STEP}] s, "
+            f"got {control_hz} and {physics_dt}"
+        )
+    substeps = round(1 / (control_hz * physics_dt))
+    if abs(substeps * control_hz * physics_dt - 1) > 1e-6:
+        raise ValueError(
+            f"a control step of 1/{control_hz:g} s is not a whole number of physics steps of "
+            f"{physics_dt:g} s"
+        )
+    return substeps
+
+
+def _limit(what: str, value: float | None) -> float:
+    """The value, or infinity for None."""
+    if value is not None and not value > 0:
+        raise ValueError(f"{what} must be above 0 or None, got {value}")
+    return math.inf if value is None else value
+
+
+def _known(what: str, name: str, names: Collection[str]) -> str:
+    if name not in names:
+        raise ValueError(f"unknown {what} {name!r}; known are {', '.join(names)}")
+    return name
