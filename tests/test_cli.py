@@ -195,21 +195,15 @@ def test_a_preset_sets_the_defaults_that_help_shows(mapg, preset, monkeypatch):
 
 def test_json_is_all_that_reaches_standard_output(tmp_path):
     """In a process of its own, where Brax and MJX print while they are imported."""
-    command = [sys.executable, "-c", "from mapg_jax.cli import main; main()"]
-
-    path = str(tmp_path / "run")
-
-    def run(*arguments):
-        done = subprocess.run([*command, *arguments], capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    train = [*TINY.split(), "--env", "hopper", "--steps", "40", "--time-limit", "20"]
-    run("train", *train, "--out", path)
-    out = run("evaluate", path, "--json", "--physics", "gymnasium", "--episodes", "4")
-    record = json.loads(out)
+    config = dataclasses.replace(oracles.RUN, env="hopper", engine="native", time_limit=20)
+    folder = oracles.untrained_run(config, tmp_path / "run")
+    command = [sys.executable, "-m", "mapg_jax", "evaluate", str(folder.path), "--json"]
+    options = ["--physics", "gymnasium", "--episodes", "4"]
+    done = subprocess.run([*command, *options], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    record = json.loads(done.stdout)
     assert (record["physics"], record["env"]) == ("gymnasium", "hopper")
-    assert record == json.loads((tmp_path / "run" / "evaluation.json").read_text())
+    assert record == json.loads(folder.evaluation.read_text())
 
 
 @pytest.mark.mjx

@@ -84,7 +84,7 @@ def test_every_number_has_its_help_text():
 def test_a_run_cannot_be_changed_by_accident():
     config = Config()
     with pytest.raises(dataclasses.FrozenInstanceError):
-        config.heads = 3  # pyright: ignore[reportAttributeAccessIssue]
+        config.heads = 3
     assert hash(config) == hash(Config())
 
 

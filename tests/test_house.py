@@ -26,6 +26,7 @@ ROOMS = (
     "runner",
     "__init__",
     "cli",
+    "__main__",
 )
 PURE = ROOMS[: ROOMS.index("training")]
 

@@ -233,7 +233,7 @@ def test_a_second_signal_acts_as_usual():
 
 def test_sigterm_saves_and_resume_completes(tmp_path):
     path = tmp_path / "run"
-    command = [sys.executable, "-c", "from mapg_jax.cli import main; main()"]
+    command = [sys.executable, "-m", "mapg_jax"]
     flags = "--preset smoke --steps 100000000 --evaluate-every 400 --checkpoint-seconds 1000"
     process = subprocess.Popen(
         [*command, "train", *flags.split(), "--out", str(path)], stderr=subprocess.PIPE, text=True
