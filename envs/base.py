@@ -31,6 +31,8 @@ class Env(brax.envs.base.Env):
 
     action_high: np.ndarray
     """[A] float32, what an action of 1 is in Gymnasium's units."""
+    scored_metrics: tuple[str, ...] = ()
+    """The metrics whose values at an episode's last step belong to its score, beside the return."""
 
     @property
     @abc.abstractmethod

@@ -18,6 +18,7 @@ import envs
 from mapg_jax import heads
 from mapg_jax.config import PRESETS, Config
 from mapg_jax.plotting import draw_curve
+from mapg_jax.recording import draw_drive
 from mapg_jax.run_folder import RunFolder
 from mapg_jax.runner import DivergedError, StoppedError, resume, start
 from mapg_jax.scoring import Physics, evaluate
@@ -97,6 +98,28 @@ class Evaluate:
 
 
 @dataclasses.dataclass
+class Drive:
+    """Draw one episode of a driving run: the line on the track, and an animation for a browser."""
+
+    path: tyro.conf.Positional[pathlib.Path]
+    """Run folder; drive.png and drive.html are written into it."""
+    select: heads.Select = "uniform"
+    """How one action is made of the M proposals."""
+    seed: int = 0
+    """Of the start and the heads."""
+
+    def run(self, out: TextIO) -> None:
+        for picture in refuse_politely(self._draw):
+            print(picture, file=out)
+
+    def _draw(self) -> list[pathlib.Path]:
+        folder = RunFolder.open(self.path)
+        if folder.config.env != "driving":
+            raise ValueError(f"{self.path} is a run of {folder.config.env}, not of driving")
+        return draw_drive(folder, self.seed, self.select)
+
+
+@dataclasses.dataclass
 class Envs:
     """List the environments."""
 
@@ -157,7 +180,7 @@ def own_stdout():
             os.dup2(ours, 1)
 
 
-COMMANDS = {"train": Train, "resume": Resume, "evaluate": Evaluate, "envs": Envs}
+COMMANDS = {"train": Train, "resume": Resume, "evaluate": Evaluate, "drive": Drive, "envs": Envs}
 
 
 def _parse(arguments: list[str]):
@@ -194,7 +217,9 @@ def _finish(folder: RunFolder, out: TextIO) -> None:
 
 
 def _print_score(record: dict, out: TextIO) -> None:
-    table = rich.table.Table("env", "physics", "select", "episodes", "mean", "std", "95 % interval")
+    scored = record.get("metrics", {})
+    titles = ("env", "physics", "select", "episodes", "mean", "std", "95 % interval")
+    table = rich.table.Table(*titles, *(f"mean {name}" for name in scored))
     low, high = record["ci95"]
     table.add_row(
         record["env"],
@@ -204,6 +229,7 @@ def _print_score(record: dict, out: TextIO) -> None:
         f"{record['mean']:.1f}",
         f"{record['std']:.1f}",
         f"{low:.1f} to {high:.1f}",
+        *(f"{sum(values) / len(values):.1f}" for values in scored.values()),
     )
     _console(out).print(table)
 

@@ -42,7 +42,7 @@ def evaluate(
         raise ValueError(f"seed must be at least 0 and below 2147483648, got {seed}")
     policy = load_policy(folder.path, seed, select)
     score = _in_gymnasium if physics == "gymnasium" else _in_jax
-    physics, returns, lengths, metrics = score(folder, policy, episodes, physics, select, seed)
+    physics, returns, lengths, extra = score(folder, policy, episodes, physics, select, seed)
     summary = summarize(returns)
     record = {
         "env": folder.config.env,
@@ -55,7 +55,7 @@ def evaluate(
         "ci95": list(summary.ci95),
         "returns": [float(x) for x in returns],
         "lengths": [int(x) for x in lengths],
-        **metrics,
+        **extra,
     }
     write_json(folder.evaluation, record)
     return record
@@ -73,8 +73,11 @@ def _in_jax(folder, policy: Policy, episodes, physics, select, seed):
             select=select,
         )
     )(policy.state, jax.random.key(seed))
-    statistics = {k: float(v) for k, v in played.heads._asdict().items()}
-    return env.backend, np.asarray(played.returns), np.asarray(played.lengths), statistics
+    extra: dict[str, Any] = {k: float(v) for k, v in played.heads._asdict().items()}
+    scored = {k: np.asarray(played.metrics[k]).tolist() for k in env.scored_metrics}
+    if scored:
+        extra["metrics"] = scored
+    return env.backend, np.asarray(played.returns), np.asarray(played.lengths), extra
 
 
 def _in_gymnasium(folder, policy: Policy, episodes, physics, select, seed):

@@ -23,6 +23,7 @@ ROOMS = (
     "tracking",
     "plotting",
     "scoring",
+    "recording",
     "runner",
     "__init__",
     "cli",

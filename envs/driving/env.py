@@ -91,6 +91,7 @@ class Driving(Env):
     """
 
     action_high = np.ones(3, np.float32)
+    scored_metrics = ("distance", "laps")
 
     def __init__(
         self,
