@@ -111,19 +111,20 @@ TINY = Config(
 """A run that compiles and goes fast; its environment is given to `make_trainer`."""
 
 RUN = dataclasses.replace(
-    TINY, steps=800, evaluate_every=200, evaluation_episodes=2, final_episodes=3,
+    TINY, steps=800, time_limit=50, evaluate_every=200, evaluation_episodes=2, final_episodes=3,
     checkpoint_seconds=1e-9, checkpoints_kept=100,
 )  # fmt: skip
 """A whole run on Pendulum with a checkpoint after every chunk, the first one at step 64."""
 
 
 class CountingAgent(Agent):
-    """Counts its updates, and does nothing else in them."""
+    """Counts its updates; as metrics it gives numbers of its key and of its batch, and squares."""
 
     def learn(self, state, batch, key):
         learner = state.learner.replace(updates=state.learner.updates + 1)
-        zeros = (jnp.zeros(()) for _ in UpdateMetrics._fields)
-        return state.replace(learner=learner), UpdateMetrics(*zeros)
+        drawn, seen = jax.random.uniform(key), batch.observation.mean()
+        metrics = UpdateMetrics(drawn, drawn**2, seen, seen**2, jnp.zeros(()))
+        return state.replace(learner=learner), metrics
 
 
 def make_trainer(env: Env, time_limit: int, config: Config, padded_heads: int | None = None):

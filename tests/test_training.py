@@ -11,8 +11,9 @@ import oracles
 import pytest
 from jax import export
 
+import envs
 from mapg_jax import heads
-from mapg_jax.config import PRESETS
+from mapg_jax.config import PRESETS, Config
 from mapg_jax.training import Trainer, make_trainer, run_keys, state_bytes
 
 TIME_LIMIT = 5
@@ -29,6 +30,13 @@ def random_length(**changes) -> Trainer:
 def untrained() -> Trainer:
     """One that acts without noise, normalisation or learning."""
     return random_length(noise="none", learning_starts=10_000, normalize=False)
+
+
+def counting(env: envs.Env, config: Config) -> Trainer:
+    """One whose agent only counts its updates."""
+    trainer = oracles.make_trainer(env, 1, config)
+    agent = oracles.CountingAgent(**vars(trainer.agent))
+    return dataclasses.replace(trainer, agent=agent)
 
 
 def run(trainer: Trainer, turns: int, seed: int = 0):
@@ -159,9 +167,7 @@ def test_updates_are_exactly_those_earned(ratio, environments, learning_starts):
         environments=environments,
         learning_starts=learning_starts,
     )
-    env = oracles.with_episodes(oracles.OneStep(), 1)
-    agent = oracles.make_agent(config, env.action_size)
-    trainer = Trainer(config, env, oracles.CountingAgent(**vars(agent)))
+    trainer = counting(oracles.OneStep(), config)
     exact = Fraction(str(ratio)) if ratio != 1 / 512 else Fraction(1, 512)
     state = trainer.jitted_init(0)
     for turns, chunk in enumerate([1] * 40 + [600 - 40]):
@@ -173,6 +179,16 @@ def test_updates_are_exactly_those_earned(ratio, environments, learning_starts):
         assert int(state.totals.updates) == expected
     assert int(state.env_steps) == 600 * environments
     assert expected > 0
+
+
+def test_the_updates_of_a_turn_have_their_own_keys_and_batches():
+    """Numbers of each are not all equal: n Σx² > (Σx)²."""
+    config = dataclasses.replace(LIGHT, updates_per_step=4.0, learning_starts=0)
+    state = run(counting(oracles.Side(), config), 1)
+    n, sums = state.totals.updates, state.totals.update_metrics
+    assert n == 16
+    assert n * sums.actor_loss - sums.critic_loss**2 > 1  # keys
+    assert n * sums.critic_gradient_norm - sums.q_mean**2 > 1  # batches
 
 
 def test_before_learning_starts_nothing_is_learned():
