@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -38,7 +39,7 @@ class EnvSpec:
     """The Gymnasium task it equals."""
     time_limit: int
     """Steps after which an episode is truncated."""
-    cls: type[MujocoTask] | type[Env]
+    cls: Callable[..., Any]
     """A task for the physics engines, or an environment; its keyword arguments are the options."""
 
 

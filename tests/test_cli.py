@@ -174,7 +174,7 @@ def test_environments_are_listed(mapg):
     for name in envs.names():
         spec = envs.spec(name)
         (line,) = (line for line in out.splitlines() if f" {name} " in line)
-        for text in (*spec.engines, str(spec.time_limit), spec.gymnasium_id):
+        for text in (*spec.engines, str(spec.time_limit), spec.gymnasium_id or ""):
             assert text in line
 
 

@@ -20,7 +20,7 @@ def names() -> tuple[str, ...]:
     return tuple(sorted(brax_envs._envs))
 
 
-def environment_class(name: str) -> type[Env]:
+def environment_class(name: str) -> type[brax_envs.Env]:
     """The class of Brax's environment `name`.
 
     Raises:
@@ -34,7 +34,7 @@ def environment_class(name: str) -> type[Env]:
 class BraxEnv(Wrapper, Env):
     """A Brax environment whose actions are float32 in [-1, 1]^A, clipped there first."""
 
-    def __init__(self, env: Env):
+    def __init__(self, env: brax_envs.Env):
         super().__init__(env)
         # Brax finds its observation size by a reset, op by op; the shapes alone are free.
         shapes = jax.eval_shape(env.reset, jax.random.key(0))
