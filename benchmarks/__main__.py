@@ -31,7 +31,8 @@ def _header() -> str:
         "# Speed\n\n"
         f"Written by `make bench` on {datetime.date.today()}: {platform.machine()}, "
         f"{len(os.sched_getaffinity(0))} cores, Python {platform.python_version()}, {versions}. "
-        f"Medians of {ROUNDS} interleaved rounds."
+        f"Medians of {ROUNDS} interleaved rounds, each run a process of its own; of learning, the "
+        "rate once compiled and learning, evaluation apart, on both sides alike."
     )
 
 
@@ -42,7 +43,7 @@ def _learner() -> str:
         rates["sbx"].append(learner.sbx(PEER_STEPS))
         rates["M = 10"].append(learner.ours(10, STEPS))
     lines = [
-        "## Learning: HalfCheetah, 64-64, batch 64, no layer norm, one update a step, one process",
+        "## Learning: HalfCheetah, 64-64, batch 64, no layer norm, one update a step",
         "",
         "| | environment steps/s | times sbx-rl's DDPG | wanted |",
         "|---|---|---|---|",

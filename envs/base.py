@@ -24,6 +24,7 @@ with contextlib.redirect_stdout(None):  # importing brax.envs prints what its ba
 __all__ = ["Action", "Env", "Episodes", "State", "Wrapper", "where_ended", "with_episodes"]
 
 Action = Float[jax.Array | np.ndarray, "A"]
+"""In [-1, 1]^A; clipped there first."""
 
 
 class Env(brax.envs.base.Env):
@@ -39,8 +40,6 @@ class Env(brax.envs.base.Env):
     def observation_size(self) -> int:
         """D."""
 
-
-"""In [-1, 1]^A; clipped there first."""
 
 RESETS_PER_ROUND = 1 / 16
 """Of a batch: few enough to be cheap, enough that most steps need one round."""

@@ -56,7 +56,7 @@ class MujocoEnv(Env):
         return self._first(*self.engine.reset_to(qpos, qvel))
 
     def step(self, state: State, action: Action) -> State:
-        control = jnp.clip(action.astype(jnp.float32), -1.0, 1.0) * self.action_high
+        control = jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0) * self.action_high
         pipeline_state, outcome = self.engine.step(state.pipeline_state, control)
         return state.replace(
             pipeline_state=pipeline_state,

@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+import typing
 from collections.abc import Callable
 from typing import Any
 
@@ -24,6 +25,7 @@ from envs.mujoco_tasks.swimmer import Swimmer
 from envs.mujoco_tasks.task import MujocoTask
 from envs.mujoco_tasks.walker2d import Walker2d
 from envs.pendulum import Pendulum
+from envs.values import fits
 
 BRAX = "brax:"
 
@@ -103,9 +105,14 @@ def make(name: str, engine: str = "auto", **options: Any) -> Env:
     found = spec(name)
     parameters = inspect.signature(found.cls).parameters.values()
     known = [p.name for p in parameters if p.kind is not p.VAR_KEYWORD]
-    for option in options:
+    hints = typing.get_type_hints(found.cls.__init__)
+    for option, value in options.items():
         if option not in known:
             raise ValueError(f"{name} has no option {option!r}; it has {', '.join(known)}")
+        hint = hints.get(option, Any)
+        if not fits(value, hint):
+            expected = getattr(hint, "__name__", hint) if isinstance(hint, type) else hint
+            raise ValueError(f"{name}'s option {option} must be {expected}, got {value!r}")
     if engine == "auto":
         default = "native" if jax.default_backend() == "cpu" else "mjx"
         engine = default if default in found.engines else found.engines[0]

@@ -84,7 +84,7 @@ def record(cell: Cell) -> None:
     folder = RunFolder.open(cell.folder)
     score = json.loads(folder.evaluation.read_text())
     rows = read_metrics(folder.metrics)
-    written = json.loads((folder.path / "config.json").read_text())
+    written = json.loads((folder.path / "config.json").read_text())["history"][0]
     key = {
         "env": cell.env,
         "algorithm": "ddpg" if cell.heads == 1 else "mapg",

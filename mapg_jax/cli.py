@@ -1,4 +1,4 @@
-"""The command line: mapg train | resume | evaluate | envs."""
+"""The command line: mapg train | resume | evaluate | drive | envs."""
 
 import contextlib
 import dataclasses
@@ -63,8 +63,10 @@ class Resume:
                 "--steps with a larger number trains it further",
                 file=out,
             )
-            return
-        run.go(progress=True)
+            if run.folder.evaluation.exists():  # else it was cut off before its score
+                return
+        else:
+            run.go(progress=True)
         _finish(run.folder, out)
 
 
@@ -152,6 +154,10 @@ def main() -> None:
         try:
             command.run(out)
         except DivergedError as error:
+            sys.exit(_complain(str(error), 1))
+        except KeyboardInterrupt:
+            sys.exit(_complain("interrupted", 130))
+        except OSError as error:  # a full disk, say
             sys.exit(_complain(str(error), 1))
         except StoppedError as error:
             sys.exit(_complain(str(error), 128 + error.number))

@@ -7,6 +7,7 @@ import typing
 from typing import Any, Literal
 
 import envs
+from envs.values import fits
 from mapg_jax.exploration import Noise
 from mapg_jax.mapg import GradientRule, TargetRule
 
@@ -20,7 +21,7 @@ class Config:
     env_options: tuple[str, ...] = ()
     """Options of the environment, as name=value."""
     engine: str = "auto"
-    """Physics engine: native (MuJoCo's C engine), mjx, or auto: native on a CPU, mjx elsewhere."""
+    """Physics engine: native (MuJoCo's C engine), mjx, jax (tasks in pure JAX), or auto."""
     time_limit: int | None = None
     """Steps after which an episode is truncated; by default Gymnasium's."""
     heads: int = 10
@@ -92,6 +93,9 @@ class Config:
             value, choices = getattr(self, name), typing.get_args(hint)
             if typing.get_origin(hint) is Literal and value not in choices:
                 raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}")
+            if not fits(value, hint):
+                expected = hint.__name__ if isinstance(hint, type) else hint
+                raise ValueError(f"{name} must be {expected}, got {value!r}")
             if isinstance(value, float) and not math.isfinite(value):
                 raise ValueError(f"{name} must be finite, got {value}")
         at_least = {

@@ -66,7 +66,7 @@ def play(
         t, env_state, alive, returns, lengths, last, sums = carry
         proposals, values = agent.proposals_and_values(state, env_state.obs)
         action = heads.choose(select, jax.random.fold_in(head_key, t), proposals, values, m)
-        value = heads.mean(values, m)
+        value = heads.mean(values, m) - pivot
         sums = _Sums(
             sums.states + alive.sum(),
             sums.spread + (alive * heads.spread(proposals, m)).sum(),
@@ -81,6 +81,8 @@ def play(
         return t + 1, env_state, alive_next, returns, lengths + alive, last, sums
 
     env_state = jax.vmap(env.reset)(jax.random.split(start_key, episodes))
+    # Squares of deviations from a value near the mean keep their digits.
+    pivot = heads.mean(agent.proposals_and_values(state, jnp.asarray(env_state.obs))[1], m).mean()
     zeros = jnp.zeros(episodes)
     first = (
         jnp.zeros((), jnp.int32),
@@ -96,7 +98,7 @@ def play(
     )
     mean = _Sums(*(x / sums.states for x in sums))
     q_std = jnp.sqrt(jnp.maximum(mean.q_square - jnp.square(mean.q), 0.0))
-    gap_relative = mean.q_gap / jnp.maximum(q_std, jnp.finfo(jnp.float32).tiny)
+    gap_relative = jnp.where(q_std > 0, mean.q_gap / q_std, jnp.nan)
     return Episodes(returns, lengths, HeadStatistics(mean.spread, mean.q_gap, gap_relative), last)
 
 

@@ -1,7 +1,7 @@
 """A trained policy, callable with one observation or many."""
 
 import os
-from typing import Any
+from typing import Any, get_args
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +28,9 @@ class Policy:
         seed: int = 0,
         select: heads.Select = "uniform",
     ):
+        if select not in get_args(heads.Select):
+            known = ", ".join(get_args(heads.Select))
+            raise ValueError(f"select must be one of {known}, got {select!r}")
         self.agent, self.state, self.action_high = agent, state, action_high
         self._key = jax.random.key(seed)
         self._calls = 0

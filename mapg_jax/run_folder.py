@@ -1,5 +1,6 @@
 """The folder of a run: data only, nothing in it is executed or unpickled when it is read."""
 
+import contextlib
 import dataclasses
 import importlib.metadata
 import json
@@ -52,6 +53,7 @@ class RunFolder:
           ValueError: if the folder exists or cannot be created.
         """
         path = _next_free(config) if path is None else pathlib.Path(path)
+        made = [p for p in (path, *path.parents) if not p.exists()]
         try:
             path.mkdir(parents=True)
         except FileExistsError:
@@ -59,6 +61,9 @@ class RunFolder:
                 f"{path} exists already; choose another --out, or go on with: mapg resume {path}"
             ) from None
         except OSError as error:
+            for parent in made:  # the parents that were made before it failed
+                with contextlib.suppress(OSError):
+                    parent.rmdir()
             raise ValueError(f"{path} cannot be created: {error.strerror}") from None
         folder = cls(path, config)
         folder.write_config()
@@ -84,14 +89,16 @@ class RunFolder:
         return cls(path, config)
 
     def write_config(self) -> None:
-        """Everything needed to run it again."""
-        record = {
-            "config": dataclasses.asdict(self.config),
+        """Everything needed to run it again, and every command that went on with it."""
+        file = self.path / "config.json"
+        earlier = json.loads(file.read_text())["history"] if file.exists() else []
+        process = {
             "command": shlex.join(["mapg", *sys.argv[1:]]),
             "python": platform.python_version(),
             "packages": {name: _version(name) for name in PACKAGES},
         }
-        write_json(self.path / "config.json", record)
+        config = dataclasses.asdict(self.config)
+        write_json(file, {"config": config, "history": [*earlier, process]})
 
 
 def write_json(path: pathlib.Path, record: dict[str, Any]) -> None:
@@ -112,9 +119,12 @@ def _next_free(config: Config) -> pathlib.Path:
 def _parse_config(values: dict[str, Any]) -> Config:
     """JSON has no tuples; unknown or missing names are refused."""
     hints = typing.get_type_hints(Config)
-    missing = set(hints) ^ set(values)
-    if missing:
-        raise ValueError(f"unknown or missing: {', '.join(sorted(missing))}")
+    for what, names in (
+        ("unknown", set(values) - set(hints)),
+        ("missing", set(hints) - set(values)),
+    ):
+        if names:
+            raise ValueError(f"{what}: {', '.join(sorted(names))}")
     arguments: dict[str, Any] = {
         k: tuple(v) if isinstance(v, list) else v for k, v in values.items()
     }

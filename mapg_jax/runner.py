@@ -153,9 +153,10 @@ class Run:
           StoppedError: on SIGINT or SIGTERM, once the state is saved.
         """
         cut_metrics(self.folder.metrics, self.env_steps)
+        self.folder.evaluation.unlink(missing_ok=True)  # it will be of an earlier policy
         with (
             caught_signals() as signals,
-            contextlib.closing(MetricsFile(self.folder.metrics)) as metrics,
+            contextlib.closing(MetricsFile(self.folder.metrics, self.env_steps)) as metrics,
             Progress(self.last_turn * self.config.environments, progress) as bar,
         ):
             self._loop(signals, metrics, bar)

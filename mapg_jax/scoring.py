@@ -1,6 +1,8 @@
 """A run's score: a saved policy over E episodes, on our physics or in Gymnasium itself."""
 
 import functools
+import math
+import os
 from typing import Any, Literal
 
 import gymnasium
@@ -18,7 +20,7 @@ Physics = Literal["auto", "native", "mjx", "jax", "gymnasium"]
 
 
 def evaluate(
-    folder: RunFolder,
+    folder: RunFolder | str | os.PathLike,
     episodes: int = 100,
     physics: Physics = "auto",
     select: heads.Select = "uniform",
@@ -27,7 +29,7 @@ def evaluate(
     """Scores the newest checkpoint, and writes the result to the run's evaluation.json.
 
     Args:
-      folder: of the run.
+      folder: of the run, or its path.
       episodes: E starts, one episode each.
       physics: what to run on.
       select: how one action is made of the M proposals.
@@ -40,6 +42,8 @@ def evaluate(
         raise ValueError(f"episodes must be at least 1, got {episodes}")
     if not 0 <= seed < 2**31:
         raise ValueError(f"seed must be at least 0 and below 2147483648, got {seed}")
+    if not isinstance(folder, RunFolder):
+        folder = RunFolder.open(folder)
     policy = load_policy(folder.path, seed, select)
     score = _in_gymnasium if physics == "gymnasium" else _in_jax
     physics, returns, lengths, extra = score(folder, policy, episodes, physics, select, seed)
@@ -73,7 +77,9 @@ def _in_jax(folder, policy: Policy, episodes, physics, select, seed):
             select=select,
         )
     )(policy.state, jax.random.key(seed))
-    extra: dict[str, Any] = {k: float(v) for k, v in played.heads._asdict().items()}
+    extra: dict[str, Any] = {
+        k: float(v) if math.isfinite(v) else None for k, v in played.heads._asdict().items()
+    }
     scored = {k: np.asarray(played.metrics[k]).tolist() for k in env.scored_metrics}
     if scored:
         extra["metrics"] = scored
@@ -85,12 +91,14 @@ def _in_gymnasium(folder, policy: Policy, episodes, physics, select, seed):
     env_id = envs.spec(config.env).gymnasium_id
     if env_id is None:
         raise ValueError(f"{config.env} equals no Gymnasium task; choose another --physics")
-    starts = [
-        gymnasium.make(
-            env_id, max_episode_steps=config.episode_steps(), **config.parsed_env_options()
-        )
-        for _ in range(episodes)
-    ]
+    options = config.parsed_env_options()
+    try:
+        starts = [
+            gymnasium.make(env_id, max_episode_steps=config.episode_steps(), **options)
+            for _ in range(episodes)
+        ]
+    except TypeError as error:
+        raise ValueError(f"{env_id} does not take all of this run's options: {error}") from None
     observations = np.stack([env.reset(seed=seed + i)[0] for i, env in enumerate(starts)])
     returns, lengths = np.zeros(episodes), np.zeros(episodes, int)
     alive = np.ones(episodes, bool)

@@ -20,9 +20,11 @@ class MetricsFile:
     Columns that depend on the clock, and only those, end in `seconds` or `per_second`.
     """
 
-    def __init__(self, path: pathlib.Path):
+    def __init__(self, path: pathlib.Path, env_steps: int = 0):
+        """Goes on after `env_steps`; TensorBoard drops what it was told of later ones."""
         self.path = path
-        self._writer = tensorboardX.SummaryWriter(str(path.parent), write_to_disk=True)
+        purge = env_steps + 1 if env_steps else None
+        self._writer = tensorboardX.SummaryWriter(str(path.parent), purge_step=purge)
 
     def write(self, row: Row) -> None:
         """Appends a row, `env_steps` first; the first one writes the header."""
@@ -60,7 +62,11 @@ def cut_metrics(path: pathlib.Path, env_steps: int) -> None:
         return
     with path.open(newline="") as file:
         header, *rows = list(csv.reader(file)) or [[]]
-    kept = [row for row in rows if len(row) == len(header) and int(row[0]) <= env_steps]
+    kept = [
+        row
+        for row in rows
+        if len(row) == len(header) and row[0].isdigit() and int(row[0]) <= env_steps
+    ]
     if not kept:
         path.unlink()
         return
