@@ -272,7 +272,10 @@ class Pace:
 
 @contextlib.contextmanager
 def caught_signals() -> Iterator[list[int]]:
-    """SIGINT and SIGTERM in a list instead of an exception; a second one acts as usual."""
+    """SIGINT and SIGTERM in a list instead of an exception; a second one acts as usual.
+
+    One that is ignored, as SIGINT is in a shell's background jobs, stays ignored.
+    """
     caught: list[int] = []
     previous = {}
 
@@ -282,7 +285,8 @@ def caught_signals() -> Iterator[list[int]]:
 
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGINT, signal.SIGTERM):
-            previous[number] = signal.signal(number, handle)
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                previous[number] = signal.signal(number, handle)
     try:
         yield caught
     finally:

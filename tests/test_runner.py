@@ -221,14 +221,30 @@ def test_available_memory_is_this_machines():
 # ----- signals
 
 
-def test_a_second_signal_acts_as_usual():
+@pytest.fixture
+def interrupts():
+    """Sets what SIGINT does, whatever the tests were started with, and sets it back."""
     before = signal.getsignal(signal.SIGINT)
+    yield lambda handler: signal.signal(signal.SIGINT, handler)
+    signal.signal(signal.SIGINT, before)
+
+
+def test_a_second_signal_acts_as_usual(interrupts):
+    interrupts(signal.default_int_handler)
     with pytest.raises(KeyboardInterrupt), runner.caught_signals() as caught:
         os.kill(os.getpid(), signal.SIGINT)
         assert caught == [signal.SIGINT]
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(1)
-    assert signal.getsignal(signal.SIGINT) is before
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_ignored_signal_stays_ignored(interrupts):
+    interrupts(signal.SIG_IGN)
+    with runner.caught_signals() as caught:
+        os.kill(os.getpid(), signal.SIGINT)
+    assert caught == []
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
 def test_sigterm_saves_and_resume_completes(tmp_path):
