@@ -119,12 +119,12 @@ def _next_free(config: Config) -> pathlib.Path:
 def _parse_config(values: dict[str, Any]) -> Config:
     """JSON has no tuples; unknown or missing names are refused."""
     hints = typing.get_type_hints(Config)
-    for what, names in (
-        ("unknown", set(values) - set(hints)),
-        ("missing", set(hints) - set(values)),
-    ):
-        if names:
-            raise ValueError(f"{what}: {', '.join(sorted(names))}")
+    differences = {"unknown": set(values) - set(hints), "missing": set(hints) - set(values)}
+    if any(differences.values()):
+        lists = (
+            f"{what}: {', '.join(sorted(names))}" for what, names in differences.items() if names
+        )
+        raise ValueError("; ".join(lists))
     arguments: dict[str, Any] = {
         k: tuple(v) if isinstance(v, list) else v for k, v in values.items()
     }

@@ -73,7 +73,8 @@ def test_presets_survive_the_folder(preset, tmp_path):
     folder = RunFolder.create(tmp_path / "new" / "run", config)
     assert RunFolder.open(folder.path).config == config
     record = json.loads((folder.path / "config.json").read_text())
-    assert record["packages"]["jax"] == jax.__version__
+    (process,) = record["history"]
+    assert process["packages"]["jax"] == jax.__version__
     assert [path.name for path in folder.path.iterdir()] == ["config.json"]
 
 
