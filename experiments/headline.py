@@ -122,7 +122,7 @@ def over_seeds(scores: list[float]) -> str:
     """Mean, lowest and highest, and how many."""
     if not scores:
         return "missing"
-    return f"{np.mean(scores):.0f} ({min(scores):.0f} to {max(scores):.0f}; {len(scores)} seeds)"
+    return f"{np.mean(scores):.0f} ({min(scores):.0f} to {max(scores):.0f}; n = {len(scores)})"
 
 
 def headline_table() -> str:
