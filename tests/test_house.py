@@ -21,6 +21,7 @@ ROOMS = (
     "policy",
     "evaluation",
     "tracking",
+    "statistics",
     "results",
     "plotting",
     "scoring",
