@@ -94,7 +94,7 @@ def spearman(groups: Mapping[int, Scores], level: float = LEVEL) -> Estimate:
       level: of the interval.
 
     Returns:
-      nan where all scores are equal.
+      0 where all scores are equal: they have no order.
     """
     sizes = [len(scores) for scores in groups.values()]
     ranks = stats.rankdata(np.repeat(list(groups), sizes))
@@ -103,7 +103,7 @@ def spearman(groups: Mapping[int, Scores], level: float = LEVEL) -> Estimate:
         scores = stats.rankdata(np.concatenate(samples, axis=-1), axis=-1)
         x, y = ranks - ranks.mean(), scores - scores.mean(axis=-1, keepdims=True)
         scale = np.sqrt((x**2).sum() * (y**2).sum(axis=-1))
-        return np.divide(y @ x, scale, out=np.full_like(scale, math.nan), where=scale > 0)
+        return np.divide(y @ x, scale, out=np.zeros_like(scale), where=scale > 0)
 
     return bootstrap(list(groups.values()), statistic, level)
 
