@@ -21,6 +21,7 @@ ROOMS = (
     "policy",
     "evaluation",
     "tracking",
+    "results",
     "plotting",
     "scoring",
     "recording",
