@@ -109,7 +109,8 @@ def write_json(path: pathlib.Path, record: dict[str, Any]) -> None:
 
 
 def _next_free(config: Config) -> pathlib.Path:
-    stem = f"{config.env.replace(':', '-')}-m{config.heads}"
+    policy = "a3c" if config.algorithm == "a3c" else f"m{config.heads}"
+    stem = f"{config.env.replace(':', '-')}-{policy}"
     number = 1
     while (path := pathlib.Path("runs") / f"{stem}-{number}").exists():
         number += 1
@@ -117,9 +118,15 @@ def _next_free(config: Config) -> pathlib.Path:
 
 
 def _parse_config(values: dict[str, Any]) -> Config:
-    """JSON has no tuples; unknown or missing names are refused."""
+    """JSON has no tuples; unknown or missing names are refused.
+
+    A run of MAPG need not name the algorithm, nor A3C's numbers: they change nothing there.
+    """
     hints = typing.get_type_hints(Config)
-    differences = {"unknown": set(values) - set(hints), "missing": set(hints) - set(values)}
+    needed = set(hints)
+    if values.get("algorithm", "mapg") == "mapg":
+        needed = {k for k in hints if k != "algorithm" and not k.startswith("a3c_")}
+    differences = {"unknown": set(values) - set(hints), "missing": needed - set(values)}
     if any(differences.values()):
         lists = (
             f"{what}: {', '.join(sorted(names))}" for what, names in differences.items() if names
