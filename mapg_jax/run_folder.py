@@ -111,7 +111,8 @@ def write_json(path: pathlib.Path, record: dict[str, Any]) -> None:
 
 
 def _next_free(config: Config) -> pathlib.Path:
-    stem = f"{config.env.replace(':', '-')}-m{config.heads}"
+    policy = "a3c" if config.algorithm == "a3c" else f"m{config.heads}"
+    stem = f"{config.env.replace(':', '-')}-{policy}"
     number = 1
     while (path := pathlib.Path("runs") / f"{stem}-{number}").exists():
         number += 1

@@ -9,6 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,15 +19,10 @@ import psutil
 from mapg_jax.checkpointing import Checkpoints
 from mapg_jax.config import Config
 from mapg_jax.evaluation import play, summarize
+from mapg_jax.loop import Loop, run_keys, state_bytes
 from mapg_jax.run_folder import RunFolder
 from mapg_jax.tracking import MetricsFile, Progress, cut_metrics
-from mapg_jax.training import (
-    Trainer,
-    TrainState,
-    make_trainer,
-    run_keys,
-    state_bytes,
-)
+from mapg_jax.training import make_trainer
 
 CHUNK_SECONDS = 1.0  # how often the host looks up
 
@@ -45,7 +41,7 @@ class StoppedError(Exception):
         self.number = number
 
 
-def prepare(config: Config) -> Trainer:
+def prepare(config: Config) -> Loop:
     """The run's static part, refused before anything is allocated or compiled if it cannot run.
 
     Raises:
@@ -113,15 +109,15 @@ def train(config: Config, out: str | os.PathLike | None = None) -> RunFolder:
 
 
 class Run:
-    """A run under way on the host; it counts in turns, of N environment steps each."""
+    """A run under way on the host; it counts in the trainer's turns."""
 
-    def __init__(self, trainer: Trainer, folder: RunFolder):
+    def __init__(self, trainer: Loop, folder: RunFolder):
         config = folder.config
         self.trainer, self.folder, self.config = trainer, folder, config
         self.turn = 0
-        self.last_turn = math.ceil(config.steps / config.environments)
-        self._turns_per_evaluation = max(1, round(config.evaluate_every / config.environments))
-        self._state: TrainState | None = None
+        self.last_turn = math.ceil(config.steps / trainer.steps_per_turn)
+        self._turns_per_evaluation = max(1, round(config.evaluate_every / trainer.steps_per_turn))
+        self._state: Any = None
         self._seconds_before = 0.0
         self._checkpoints = Checkpoints(folder.checkpoints, config.checkpoints_kept)
 
@@ -130,13 +126,13 @@ class Run:
         if self._checkpoints.newest() is None:
             return
         self._state, host = self._checkpoints.load(self.trainer.shapes)
-        self.turn = int(self._state.env_steps) // self.config.environments
+        self.turn = int(self._state.env_steps) // self.trainer.steps_per_turn
         self._seconds_before = host["seconds"]
 
     @property
     def env_steps(self) -> int:
         """Environment steps taken."""
-        return self.turn * self.config.environments
+        return self.turn * self.trainer.steps_per_turn
 
     @property
     def finished(self) -> bool:
@@ -157,12 +153,11 @@ class Run:
         with (
             caught_signals() as signals,
             contextlib.closing(MetricsFile(self.folder.metrics, self.env_steps)) as metrics,
-            Progress(self.last_turn * self.config.environments, progress) as bar,
+            Progress(self.last_turn * self.trainer.steps_per_turn, progress) as bar,
         ):
             self._loop(signals, metrics, bar)
 
     def _loop(self, signals: list[int], metrics: MetricsFile, bar: Progress) -> None:
-        environments = self.config.environments
         started = saved = time.monotonic()
         state, self._state = self._state, None  # its buffers are donated to the first chunk
         if state is None:
@@ -181,7 +176,7 @@ class Run:
             self._check_finite(state)
             for pace in (chunk, interval):
                 pace.add(turns, time.monotonic() - begun)
-            bar.advance(self.env_steps, chunk.rate() * environments)
+            bar.advance(self.env_steps, chunk.rate() * self.trainer.steps_per_turn)
             if not learning and state.agent.learner.updates > 0:
                 learning = True
                 bar.learning()
@@ -213,7 +208,7 @@ class Run:
             )
         )
 
-    def _row(self, state: TrainState, evaluate, turns_per_second: float, seconds: float) -> dict:
+    def _row(self, state: Any, evaluate, turns_per_second: float, seconds: float) -> dict:
         """One row of metrics.csv; docs/metrics.md defines the columns."""
         env_steps = int(state.env_steps)
         key = jax.random.fold_in(run_keys(self.config.seed).evaluation, env_steps)
@@ -233,13 +228,13 @@ class Run:
             "training_episodes": int(totals.episodes),
             **{k: v / updates for k, v in totals.update_metrics._asdict().items()},
             **{k: float(v) for k, v in played.heads._asdict().items()},
-            "steps_per_second": turns_per_second * self.config.environments,
+            "steps_per_second": turns_per_second * self.trainer.steps_per_turn,
             "updates_per_second": turns_per_second
-            * float(self.trainer.updates_ratio * self.config.environments),
+            * float(self.trainer.updates_ratio * self.trainer.steps_per_turn),
             "seconds": seconds,
         }
 
-    def _check_finite(self, state: TrainState) -> None:
+    def _check_finite(self, state: Any) -> None:
         at = int(state.diverged_at)
         if at < 0 and not all(np.isfinite(x).all() for x in jax.tree.leaves(state.agent.learner)):
             at = int(state.env_steps)

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from envs.base import Env, State, with_episodes
-from mapg_jax.agent import Agent, make_agent
+from mapg_jax.a3c_training import A3cTrainer
+from mapg_jax.agent import MapgAgent, make_agent
 from mapg_jax.checkpointing import Checkpoints
 from mapg_jax.config import Config
 from mapg_jax.mapg import Transition, UpdateMetrics
@@ -119,7 +120,7 @@ RUN = dataclasses.replace(
 """A whole run on Pendulum with a checkpoint after every chunk, the first one at step 64."""
 
 
-class CountingAgent(Agent):
+class CountingAgent(MapgAgent):
     """Counts its updates; as metrics it gives numbers of its key and of its batch, and squares."""
 
     def learn(self, state, batch, key):
@@ -132,7 +133,8 @@ class CountingAgent(Agent):
 def make_trainer(env: Env, time_limit: int, config: Config, padded_heads: int | None = None):
     """A trainer on an environment without a name."""
     agent = make_agent(config, env.action_size, padded_heads)
-    return Trainer(config, with_episodes(env, time_limit), agent)
+    trainer = A3cTrainer if config.algorithm == "a3c" else Trainer
+    return trainer(config, with_episodes(env, time_limit), agent)
 
 
 def untrained_run(config: Config, path: pathlib.Path) -> RunFolder:
