@@ -7,6 +7,7 @@ their paths in the tree, random keys as their bits; nothing is pickled.
 
 import logging
 import pathlib
+import shutil
 from typing import Any
 
 import jax
@@ -44,6 +45,15 @@ class Checkpoints:
             host=ocp.args.JsonSave(host),
         )
         self._manager.save(int(state.env_steps), args=args, force=True)
+
+    def drop_replay(self) -> None:
+        """Leaves the agents: enough to act and to evaluate, not to train further."""
+        for step in self._manager.all_steps():
+            shutil.rmtree(self.path / str(step) / "rest", ignore_errors=True)
+
+    def can_go_on(self) -> bool:
+        """Whether the newest checkpoint still has its replay."""
+        return (self.path / str(self.newest()) / "rest").exists()
 
     def load(self, shapes: TrainState) -> tuple[TrainState, dict[str, Any]]:
         """The newest state, and the host's numbers.

@@ -17,11 +17,13 @@ import tyro
 import envs
 from mapg_jax import heads
 from mapg_jax.config import PRESETS, Config
+from mapg_jax.member import DivergedError
 from mapg_jax.plotting import draw_curve
 from mapg_jax.recording import draw_drive
 from mapg_jax.run_folder import RunFolder
-from mapg_jax.runner import DivergedError, StoppedError, resume, start
+from mapg_jax.runner import resume, start
 from mapg_jax.scoring import Physics, evaluate
+from mapg_jax.signals import StoppedError
 
 Preset = Literal["paper", "parallel", "smoke"]
 

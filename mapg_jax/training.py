@@ -16,7 +16,7 @@ from envs.base import Episodes
 from mapg_jax import exploration, heads, replay
 from mapg_jax.agent import Agent, AgentState, hyperparameters, make_agent
 from mapg_jax.config import Config
-from mapg_jax.mapg import Transition, UpdateMetrics
+from mapg_jax.mapg import Hyperparameters, Transition, UpdateMetrics
 from mapg_jax.replay import ReplayState
 
 
@@ -60,6 +60,20 @@ def run_keys(seed: int | Int[Array, ""]) -> RunKeys:
     return RunKeys(*jax.random.split(jax.random.key(seed), 4))
 
 
+class Numbers(NamedTuple):
+    """What, besides the seed, may differ between the runs of one compiled program."""
+
+    hyper: Hyperparameters
+    noise_scale: jax.Array  # [N, 1], σ
+
+
+def numbers(config: Config) -> Numbers:
+    """The numbers of a run."""
+    last = config.noise_scale if config.noise_scale_last is None else config.noise_scale_last
+    scale = jnp.linspace(config.noise_scale, last, config.environments)
+    return Numbers(hyperparameters(config), scale[:, None])
+
+
 @dataclasses.dataclass(frozen=True)
 class Trainer:
     """The static part of a run.
@@ -81,21 +95,21 @@ class Trainer:
         """The most updates a turn can make."""
         return math.ceil(self.config.environments * self.updates_ratio)
 
-    def init(self, seed: int | Int[Array, ""]) -> TrainState:
-        """The state before the first step."""
+    def init(self, seed: int | Int[Array, ""], own: Numbers | None = None) -> TrainState:
+        """The state before the first step; `own` numbers take the place of the configuration's."""
         config = self.config
         n = config.environments
         keys = run_keys(seed)
-        agent = self.agent.init(keys.agent, hyperparameters(config), self.env.observation_size)
+        hyper, noise_scale = own or numbers(config)
+        agent = self.agent.init(keys.agent, hyper, self.env.observation_size)
         env = jax.vmap(self.env.reset)(jax.random.split(keys.env, n))
-        last = config.noise_scale if config.noise_scale_last is None else config.noise_scale_last
         return TrainState(
             agent=agent,
             replay=replay.init(self._transition(), config.replay_size),
             env=env,
             running_return=jnp.zeros(n),
             noise=jnp.zeros((n, self.env.action_size)),
-            noise_scale=jnp.linspace(config.noise_scale, last, n)[:, None],
+            noise_scale=noise_scale,
             key=keys.loop,
             env_steps=jnp.zeros((), jnp.int32),
             update_credit=jnp.zeros((), jnp.int32),
