@@ -80,7 +80,7 @@ class Member:
             "return_mean": summary.mean,
             "return_std": summary.std,
             "episodes": summary.episodes,
-            "episode_length": float(played.lengths.mean()),
+            "episode_length": float(played.lengths.mean(dtype=np.float32)),
             "training_return": totals.episode_return / episodes,
             "training_episode_length": totals.episode_length / episodes,
             "training_episodes": int(totals.episodes),
