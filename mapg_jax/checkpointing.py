@@ -36,9 +36,11 @@ class Checkpoints:
         """Environment steps of the newest complete checkpoint; None without one."""
         return self._manager.latest_step()
 
-    def save(self, state: TrainState, host: dict[str, Any]) -> None:
+    def save(self, state: Any, host: dict[str, Any]) -> None:
         """Writes the state and the host's own numbers (JSON)."""
-        rest = state.replace(agent=None, replay=replay.trim(state.replay))
+        rest = state.replace(agent=None)
+        if isinstance(state, TrainState):  # A3C keeps no replay
+            rest = rest.replace(replay=replay.trim(state.replay))
         args = ocp.args.Composite(
             agent=ocp.args.StandardSave(_flatten(state.agent)),
             rest=ocp.args.StandardSave(_flatten(rest)),
@@ -52,10 +54,10 @@ class Checkpoints:
             shutil.rmtree(self.path / str(step) / "rest", ignore_errors=True)
 
     def can_go_on(self) -> bool:
-        """Whether the newest checkpoint still has its replay."""
+        """Whether the newest checkpoint is whole, or only its agent is left."""
         return (self.path / str(self.newest()) / "rest").exists()
 
-    def load(self, shapes: TrainState) -> tuple[TrainState, dict[str, Any]]:
+    def load(self, shapes: Any) -> tuple[Any, dict[str, Any]]:
         """The newest state, and the host's numbers.
 
         Args:

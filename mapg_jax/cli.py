@@ -217,7 +217,8 @@ def _named_preset(flags: list[str]) -> str:
 
 def _finish(folder: RunFolder, out: TextIO) -> None:
     config = folder.config
-    title = f"{config.env}, M = {config.heads}, seed {config.seed}"
+    policy = "A3C" if config.algorithm == "a3c" else f"M = {config.heads}"
+    title = f"{config.env}, {policy}, seed {config.seed}"
     draw_curve(folder.metrics, folder.curve, title)
     _print_score(evaluate(folder, config.final_episodes), out)
     print(f"run folder:     {folder.path}", file=out)

@@ -11,6 +11,8 @@ from envs.values import fits
 from mapg_jax.exploration import Noise
 from mapg_jax.mapg import GradientRule, TargetRule
 
+Algorithm = Literal["mapg", "a3c"]
+
 
 @dataclasses.dataclass(frozen=True)
 class Config:
@@ -24,8 +26,10 @@ class Config:
     """Physics engine: native (MuJoCo's C engine), mjx, jax (tasks in pure JAX), or auto."""
     time_limit: int | None = None
     """Steps after which an episode is truncated; by default Gymnasium's."""
+    algorithm: Algorithm = "mapg"
+    """mapg, which is DDPG where M = 1, or a3c, the paper's baseline (docs/a3c.md)."""
     heads: int = 10
-    """M, the actions proposed per state; 1 is DDPG."""
+    """M, the actions proposed per state; 1 is DDPG. A3C proposes one, whatever is given here."""
     seed: int = 0
     """Of every random draw of the run."""
     steps: int = 2_000_000
@@ -77,6 +81,17 @@ class Config:
     noise_scale_last: float | None = None
     """σ in the last environment; those between take even steps. By default all have one σ."""
 
+    a3c_rollout_steps: int = 5
+    """A3C: n, steps of every environment between updates; N · n make a batch."""
+    a3c_actor_learning_rate: float = 1e-4
+    """A3C: of Adam, for the actor."""
+    a3c_critic_learning_rate: float = 1e-3
+    """A3C: of Adam, for the critic."""
+    a3c_max_gradient_norm: float | None = 0.5
+    """A3C: the gradient of each network is scaled down to this norm."""
+    a3c_entropy_weight: float = 1e-4
+    """A3C: β, of the entropy of the action's distribution, as in the paper."""
+
     evaluate_every: int = 20_000
     """Environment steps between evaluations."""
     evaluation_episodes: int = 10
@@ -98,11 +113,14 @@ class Config:
                 raise ValueError(f"{name} must be {expected}, got {value!r}")
             if isinstance(value, float) and not math.isfinite(value):
                 raise ValueError(f"{name} must be finite, got {value}")
+        if self.algorithm == "a3c":
+            object.__setattr__(self, "heads", 1)  # equal runs are equal configurations
         at_least = {
             "heads": 1, "seed": 0, "steps": 1, "environments": 1, "updates_per_step": 1e-5,
             "learning_starts": 0, "replay_size": 1, "batch_size": 1, "evaluate_every": 1,
             "evaluation_episodes": 1, "final_episodes": 1, "checkpoints_kept": 1, "critic_l2": 0,
             "noise_scale": 0, "noise_scale_last": 0, "time_limit": 1,
+            "a3c_rollout_steps": 1, "a3c_entropy_weight": 0,
         }  # fmt: skip
         for name, least in at_least.items():
             value = getattr(self, name)
@@ -113,7 +131,8 @@ class Config:
             if getattr(self, name) > most:
                 raise ValueError(f"{name} must be at most {most}, got {getattr(self, name)}")
         positive = ("observation_clip", "checkpoint_seconds", "tau", "actor_learning_rate",
-                    "critic_learning_rate", "max_gradient_norm")  # fmt: skip
+                    "critic_learning_rate", "max_gradient_norm", "a3c_actor_learning_rate",
+                    "a3c_critic_learning_rate", "a3c_max_gradient_norm")  # fmt: skip
         for name in positive:
             value = getattr(self, name)
             if value is not None and value <= 0:

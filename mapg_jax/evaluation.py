@@ -54,18 +54,18 @@ def play(
       env: the bare environment.
       agent: the agent.
       state: its state.
-      key: for the starts and the choice of heads.
+      key: for the starts and the choice of actions.
       episodes: E.
       time_limit: steps after which an episode is cut off.
       select: how one action is made of the proposals.
     """
-    start_key, head_key = jax.random.split(key)
+    start_key, act_key = jax.random.split(key)
     m = state.hyper.heads
 
     def step(carry):
         t, env_state, alive, returns, lengths, last, sums = carry
         proposals, values = agent.proposals_and_values(state, env_state.obs)
-        action = heads.choose(select, jax.random.fold_in(head_key, t), proposals, values, m)
+        action = agent.act(state, env_state.obs, jax.random.fold_in(act_key, t), select)
         value = heads.mean(values, m) - pivot
         sums = _Sums(
             sums.states + alive.sum(),

@@ -13,14 +13,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mapg_jax.agent import hyperparameters
 from mapg_jax.config import Config
 from mapg_jax.evaluation import play
-from mapg_jax.mapg import Hyperparameters
-from mapg_jax.training import Trainer, TrainState, make_trainer, numbers, run_keys, state_bytes
+from mapg_jax.loop import Loop, run_keys, state_bytes
+from mapg_jax.training import TrainState, make_trainer, noise_scales
 
-TRACED = {"seed", "noise_scale", "noise_scale_last"} | {
-    field.name for field in dataclasses.fields(Hyperparameters)
-}
+TRACED = frozenset({
+    "seed", "heads", "noise_scale", "noise_scale_last", "discount", "tau", "critic_l2",
+    "actor_learning_rate", "critic_learning_rate", "a3c_actor_learning_rate",
+    "a3c_critic_learning_rate", "a3c_entropy_weight",
+})  # fmt: skip
 """The fields of a configuration in which runs of one program may differ."""
 
 
@@ -40,7 +43,7 @@ class Lockstep:
         if len({program_key(config) for config in configs}) != 1:
             raise ValueError("runs in lockstep may differ in traced numbers alone")
         self.configs = tuple(configs)
-        self.trainer: Trainer = make_trainer(max(configs, key=lambda config: config.heads))
+        self.trainer: Loop = make_trainer(max(configs, key=lambda config: config.heads))
         self.alone = len(configs) == 1
 
     @property
@@ -48,13 +51,18 @@ class Lockstep:
         """Memory of the state."""
         return state_bytes(self.trainer) * len(self.configs)
 
-    def init(self) -> TrainState:
+    def init(self) -> Any:
         """The state before the first step."""
         if self.alone:
             return self.trainer.jitted_init(self.configs[0].seed)
-        # Compiled as in a plain run, where they are constants of the program: the same bits.
-        own = jax.jit(lambda: _stack([numbers(config) for config in self.configs]))()
-        return jax.jit(jax.vmap(self.trainer.init))(self._seeds, own)
+        state = jax.jit(jax.vmap(self.trainer.init))(self._seeds)
+        hyper = _stack([hyperparameters(config) for config in self.configs])
+        state = state.replace(agent=state.agent.replace(hyper=hyper))
+        if isinstance(state, TrainState):
+            # Compiled as in a plain run, where they are constants of the program: the same bits.
+            scales = [jax.jit(noise_scales, static_argnums=0)(config) for config in self.configs]
+            state = state.replace(noise_scale=jnp.stack(scales))
+        return state
 
     @functools.cached_property
     def jitted_run(self):
@@ -88,7 +96,7 @@ class Lockstep:
         """The k-th run's part of any tree of this program."""
         return tree if self.alone else jax.tree.map(lambda x: x[k], tree)
 
-    def plain_state(self, state: TrainState, k: int) -> TrainState:
+    def plain_state(self, state: Any, k: int) -> Any:
         """The k-th run's state as the run alone has it, without padding."""
         if self.alone:
             return state
@@ -98,11 +106,11 @@ class Lockstep:
 
         return jax.tree.map(cut, self.of_run(state, k), self.plain_shapes(k))
 
-    def plain_shapes(self, k: int) -> TrainState:
+    def plain_shapes(self, k: int) -> Any:
         """Shapes of the k-th run's state alone."""
         return self._plain_shapes[self.configs[k].heads]
 
-    def join(self, states: Sequence[TrainState]) -> TrainState:
+    def join(self, states: Sequence[Any]) -> Any:
         """The state of all runs from those of each alone, padded as a fresh one is."""
         if self.alone:
             return states[0]
@@ -121,7 +129,7 @@ class Lockstep:
         return jnp.asarray([config.seed for config in self.configs], jnp.int32)
 
     @functools.cached_property
-    def _plain_shapes(self) -> dict[int, TrainState]:
+    def _plain_shapes(self) -> dict[int, Any]:
         """By number of heads."""
         heads = {config.heads for config in self.configs} - {self.trainer.config.heads}
         others = {m: dataclasses.replace(self.trainer.config, heads=m) for m in heads}

@@ -4,7 +4,7 @@ All functions are pure: what an update changes is the `LearnerState` it returns.
 """
 
 import dataclasses
-from typing import Any, Literal, NamedTuple, cast
+from typing import ClassVar, Literal, NamedTuple, cast, get_args
 
 import jax
 import jax.numpy as jnp
@@ -13,9 +13,9 @@ from flax import struct
 from jaxtyping import Array, Float, Integer, PRNGKeyArray
 
 from mapg_jax import heads as heads_
+from mapg_jax.descent import Params, descend
 from mapg_jax.networks import Actor, Critic
 
-Params = Any
 GradientRule = Literal["stored", "resampled", "all"]
 """Which heads an actor update reaches: the one that acted, a fresh one a sample, or all."""
 TargetRule = Literal["mean", "sampled"]
@@ -99,6 +99,8 @@ class Mapg:
     """Scales gradients; the learning rates are applied after it."""
     gradient: GradientRule = "stored"
     target: TargetRule = "mean"
+    selects: ClassVar[tuple[str, ...]] = get_args(heads_.Select)
+    """The ways in which it can make one action of a state's proposals."""
 
     def init(self, key: PRNGKeyArray, observation_size: int) -> LearnerState:
         """Fresh networks, their targets equal to them."""
@@ -138,6 +140,19 @@ class Mapg:
     ) -> Float[Array, "*B"]:
         """Q of one action a state."""
         return self.values(critic, observation, action[..., None, :])[..., 0]
+
+    def act(
+        self,
+        state: LearnerState,
+        hyper: Hyperparameters,
+        observation: Float[Array, "*B D"],
+        key: PRNGKeyArray,
+        select: heads_.Select,
+    ) -> Float[Array, "*B A"]:
+        """One action a state; see `heads.choose`."""
+        proposals = self.proposals(state.actor, observation)
+        values = self.values(state.critic, observation, proposals)
+        return heads_.choose(select, key, proposals, values, hyper.heads)
 
     def next_value(
         self,
@@ -212,14 +227,22 @@ class Mapg:
         (critic_loss, q_mean), critic_gradient = jax.value_and_grad(self.critic_loss, has_aux=True)(
             state.critic, batch, target, hyper.critic_l2
         )
-        critic, critic_optimizer = self._descend(
-            state.critic, critic_gradient, state.critic_optimizer, hyper.critic_learning_rate
+        critic, critic_optimizer = descend(
+            self.optimizer,
+            state.critic,
+            critic_gradient,
+            state.critic_optimizer,
+            hyper.critic_learning_rate,
         )
         actor_loss, actor_gradient = jax.value_and_grad(self.actor_loss)(
             state.actor, critic, batch, hyper, head_key
         )
-        actor, actor_optimizer = self._descend(
-            state.actor, actor_gradient, state.actor_optimizer, hyper.actor_learning_rate
+        actor, actor_optimizer = descend(
+            self.optimizer,
+            state.actor,
+            actor_gradient,
+            state.actor_optimizer,
+            hyper.actor_learning_rate,
         )
         state = LearnerState(
             actor=actor,
@@ -238,11 +261,6 @@ class Mapg:
             actor_gradient_norm=optax.tree.norm(actor_gradient),
         )
         return state, metrics
-
-    def _descend(self, params, gradient, optimizer_state, learning_rate):
-        step, optimizer_state = self.optimizer.update(gradient, optimizer_state, params)
-        params = jax.tree.map(lambda x, dx: x - learning_rate * dx, params, step)
-        return params, optimizer_state
 
 
 def _towards(target: Params, params: Params, tau: Float[Array, ""]) -> Params:

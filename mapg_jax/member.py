@@ -8,9 +8,9 @@ import numpy as np
 
 from mapg_jax.checkpointing import Checkpoints
 from mapg_jax.evaluation import Episodes, summarize
+from mapg_jax.loop import Loop, Totals
 from mapg_jax.run_folder import RunFolder
 from mapg_jax.tracking import MetricsFile, cut_metrics
-from mapg_jax.training import Trainer, TrainState
 
 
 class DivergedError(ArithmeticError):
@@ -26,7 +26,7 @@ class Member:
         self.seconds_before = 0.0  # of earlier processes
         self.failure: DivergedError | None = None
 
-    def load(self, shapes: TrainState) -> TrainState:
+    def load(self, shapes: Any) -> Any:
         """The state of the newest checkpoint."""
         if not self.checkpoints.can_go_on():
             raise ValueError(
@@ -37,7 +37,7 @@ class Member:
         self.seconds_before = host["seconds"]
         return state
 
-    def save(self, state: TrainState, seconds: float) -> None:
+    def save(self, state: Any, seconds: float) -> None:
         """A checkpoint of a plain state, `seconds` into this process's part of the run."""
         self.checkpoints.save(state, {"seconds": self.seconds_before + seconds})
 
@@ -60,23 +60,29 @@ class Member:
             )
 
     def row(
-        self, trainer: Trainer, state: Any, played: Episodes, rate: float, seconds: float
+        self,
+        trainer: Loop,
+        counters: tuple[Any, Any, Totals],
+        played: Episodes,
+        turns_per_second: float,
+        seconds: float,
     ) -> dict[str, int | float]:
         """One row of metrics.csv; docs/metrics.md defines the columns.
 
         Args:
           trainer: of the run.
-          state: the run's counters: env_steps, totals and updates.
+          counters: environment steps, updates and totals.
           played: the episodes of the evaluation.
-          rate: turns per second since the last row.
+          turns_per_second: since the last row.
           seconds: of this process.
         """
+        env_steps, all_updates, totals = counters
         summary = summarize(played.returns)
-        totals = jax.tree.map(float, state.totals)
+        totals = jax.tree.map(float, totals)
         updates, episodes = totals.updates or math.nan, totals.episodes or math.nan
         return {
-            "env_steps": int(state.env_steps),
-            "updates": int(state.agent.learner.updates),
+            "env_steps": int(env_steps),
+            "updates": int(all_updates),
             "return_mean": summary.mean,
             "return_std": summary.std,
             "episodes": summary.episodes,
@@ -86,7 +92,8 @@ class Member:
             "training_episodes": int(totals.episodes),
             **{k: v / updates for k, v in totals.update_metrics._asdict().items()},
             **{k: float(v) for k, v in played.heads._asdict().items()},
-            "steps_per_second": rate * self.config.environments,
-            "updates_per_second": rate * float(trainer.updates_ratio * self.config.environments),
+            "steps_per_second": turns_per_second * trainer.steps_per_turn,
+            "updates_per_second": turns_per_second
+            * float(trainer.updates_ratio * trainer.steps_per_turn),
             "seconds": self.seconds_before + seconds,
         }

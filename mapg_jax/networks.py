@@ -1,4 +1,4 @@
-"""The actor with M heads, and the critic.
+"""MAPG's actor with M heads and its critic, and A3C's Gaussian actor and critic of states.
 
 Two hidden layers with ReLU each (MAPG, section 4.1); layer norm before each ReLU, as in the code
 the paper ran on, can be turned off. Last layers start at U(±3e-3) (Lillicrap et al. 2016).
@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Integer
 from mapg_jax.heads import take
 
 LAST_LAYER_SCALE = 3e-3
+VARIANCE_FLOOR = 1e-4  # of A3C's Gaussian: σ of 0.01 in units of [-1, 1], so that 1 / σ² is bounded
 _hidden_init = nn.initializers.glorot_uniform()  # as in the code the paper ran on
 
 
@@ -54,6 +55,17 @@ class _Rectifier(nn.Module):
         return nn.relu(nn.LayerNorm()(x) if self.layer_norm else x)
 
 
+def _trunk(x, hidden, layer_norm):
+    for width in hidden:
+        x = nn.Dense(width, kernel_init=_hidden_init)(x)
+        x = _Rectifier(layer_norm)(x)
+    return x
+
+
+def _last_layer(width):
+    return nn.Dense(width, kernel_init=_last_layer_uniform, bias_init=_last_layer_uniform)
+
+
 class Actor(nn.Module):
     r"""$\rho_1(s) \ldots \rho_M(s)$, each in [-1, 1]^A."""
 
@@ -67,10 +79,7 @@ class Actor(nn.Module):
         self, observation: Float[Array, "*B D"], head: Integer[Array, "*B"] | None = None
     ) -> Float[Array, "*B {self.heads} {self.action_size}"] | Float[Array, "*B {self.action_size}"]:
         """All M proposals, or that of one head a state; its gradient reaches that head alone."""
-        x = observation
-        for width in self.hidden:
-            x = nn.Dense(width, kernel_init=_hidden_init)(x)
-            x = _Rectifier(self.layer_norm)(x)
+        x = _trunk(observation, self.hidden, self.layer_norm)
         # One matrix product for all heads, their outputs side by side: [B, W] x [W, M * A].
         init = _per_head_uniform(self.heads)
         kernel = self.param("kernel", init, (x.shape[-1], self.heads * self.action_size))
@@ -94,9 +103,7 @@ class Critic(nn.Module):
         first, second, *rest = self.hidden
         x = nn.Dense(first, kernel_init=_hidden_init)(observation)
         x = self._join(_Rectifier(self.layer_norm)(x), actions, second)
-        x = _Rectifier(self.layer_norm)(x)
-        for width in rest:
-            x = _Rectifier(self.layer_norm)(nn.Dense(width, kernel_init=_hidden_init)(x))
+        x = _trunk(_Rectifier(self.layer_norm)(x), rest, self.layer_norm)
         kernel = self.param("kernel", _last_layer_uniform, (x.shape[-1],))
         return x @ kernel + self.param("bias", _last_layer_uniform, ())
 
@@ -108,3 +115,33 @@ class Critic(nn.Module):
         action_kernel = self.param("action_kernel", init, (sizes[1], width))
         bias = self.param("joint_bias", nn.initializers.zeros, (width,))
         return (features @ features_kernel + bias)[..., None, :] + actions @ action_kernel
+
+
+class GaussianActor(nn.Module):
+    r"""$\mu(s)$ in [-1, 1]^A and one variance $\sigma^2(s)$ for all dimensions of the action.
+
+    $\mu$ by tanh, $\sigma^2$ by softplus (Mnih et al. 2016, section 9), which starts at 0.69.
+    """
+
+    action_size: int
+    hidden: tuple[int, ...]
+    layer_norm: bool
+
+    @nn.compact
+    def __call__(
+        self, observation: Float[Array, "*B D"]
+    ) -> tuple[Float[Array, "*B {self.action_size}"], Float[Array, "*B"]]:
+        x = _trunk(observation, self.hidden, self.layer_norm)
+        mean = jnp.tanh(_last_layer(self.action_size)(x))
+        return mean, nn.softplus(_last_layer(1)(x))[..., 0] + VARIANCE_FLOOR
+
+
+class StateCritic(nn.Module):
+    """V(s)."""
+
+    hidden: tuple[int, ...]
+    layer_norm: bool
+
+    @nn.compact
+    def __call__(self, observation: Float[Array, "*B D"]) -> Float[Array, "*B"]:
+        return _last_layer(1)(_trunk(observation, self.hidden, self.layer_norm))[..., 0]

@@ -1,7 +1,7 @@
 """A trained policy, callable with one observation or many."""
 
 import os
-from typing import Any, get_args
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -28,8 +28,8 @@ class Policy:
         seed: int = 0,
         select: heads.Select = "uniform",
     ):
-        if select not in get_args(heads.Select):
-            known = ", ".join(get_args(heads.Select))
+        if select not in agent.algorithm.selects:
+            known = ", ".join(agent.algorithm.selects)
             raise ValueError(f"select must be one of {known}, got {select!r}")
         self.agent, self.state, self.action_high = agent, state, action_high
         self._key = jax.random.key(seed)
@@ -38,8 +38,7 @@ class Policy:
 
         @jax.jit
         def act(state, observation, key):
-            proposals, values = agent.proposals_and_values(state, observation)
-            return heads.choose(select, key, proposals, values, state.hyper.heads) * action_high
+            return agent.act(state, observation, key, select) * action_high
 
         self._act = act
         self._proposals = jax.jit(lambda state, obs: agent.proposals(state, obs) * action_high)

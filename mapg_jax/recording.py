@@ -26,13 +26,11 @@ def record(folder: RunFolder, seed: int = 0, select: heads.Select = "uniform") -
     """
     policy = load_policy(folder.path, seed, select)
     env, agent = folder.config.make_env(), policy.agent
-    start_key, head_key = jax.random.split(jax.random.key(seed))
+    start_key, act_key = jax.random.split(jax.random.key(seed))
 
     def step(carry, t):
         state, alive = carry
-        proposals, values = agent.proposals_and_values(policy.state, state.obs)
-        key = jax.random.fold_in(head_key, t)
-        action = heads.choose(select, key, proposals, values, policy.state.hyper.heads)
+        action = agent.act(policy.state, state.obs, jax.random.fold_in(act_key, t), select)
         following = env.step(state, action)
         return (following, alive & (following.done < 0.5)), (state.pipeline_state, alive)
 

@@ -6,6 +6,7 @@ import math
 import os
 import time
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,11 +14,11 @@ import psutil
 
 from mapg_jax.config import Config
 from mapg_jax.lockstep import Lockstep
+from mapg_jax.loop import Loop
 from mapg_jax.member import Member
 from mapg_jax.run_folder import RunFolder
 from mapg_jax.signals import StoppedError, caught_signals
 from mapg_jax.tracking import MetricsFile, Progress
-from mapg_jax.training import Trainer, TrainState
 
 CHUNK_SECONDS = 1.0  # how often the host looks up
 
@@ -92,19 +93,21 @@ def train(config: Config, out: str | os.PathLike | None = None) -> RunFolder:
 
 
 class Run:
-    """A run under way on the host, or several in lockstep; it counts in turns of N steps each."""
+    """A run under way on the host, or several in lockstep; it counts in the trainer's turns."""
 
     def __init__(self, program: Lockstep, folders: Sequence[RunFolder]):
         config = folders[0].config
         self.program, self.config = program, config
         self.members = [Member(folder) for folder in folders]
         self.turn = 0
-        self.last_turn = math.ceil(config.steps / config.environments)
-        self._turns_per_evaluation = max(1, round(config.evaluate_every / config.environments))
-        self._state: TrainState | None = None
+        self.last_turn = math.ceil(config.steps / self.trainer.steps_per_turn)
+        self._turns_per_evaluation = max(
+            1, round(config.evaluate_every / self.trainer.steps_per_turn)
+        )
+        self._state: Any = None
 
     @property
-    def trainer(self) -> Trainer:
+    def trainer(self) -> Loop:
         return self.program.trainer
 
     @property
@@ -116,7 +119,7 @@ class Run:
     @property
     def env_steps(self) -> int:
         """Environment steps taken."""
-        return self.turn * self.config.environments
+        return self.turn * self.trainer.steps_per_turn
 
     @property
     def finished(self) -> bool:
@@ -127,7 +130,7 @@ class Run:
         (newest,) = {member.checkpoints.newest() for member in self.members}
         if newest is None:
             return
-        self.turn = newest // self.config.environments
+        self.turn = newest // self.trainer.steps_per_turn
         if self.finished and not all(m.checkpoints.can_go_on() for m in self.members):
             return  # nothing is left to do with the state
         shapes = self.program.plain_shapes
@@ -149,11 +152,12 @@ class Run:
                 stack.enter_context(contextlib.closing(member.metrics_file(self.env_steps)))
                 for member in self.members
             ]
-            bar = stack.enter_context(Progress(self.last_turn * self.config.environments, progress))
+            bar = stack.enter_context(
+                Progress(self.last_turn * self.trainer.steps_per_turn, progress)
+            )
             self._loop(signals, metrics, bar)
 
     def _loop(self, signals: list[int], metrics: Sequence[MetricsFile], bar: Progress) -> None:
-        environments = self.config.environments
         started = saved = time.monotonic()
         state, self._state = self._state, None  # its buffers are donated to the first chunk
         if state is None:
@@ -171,7 +175,7 @@ class Run:
             self._check_finite(state)
             for pace in (chunk, interval):
                 pace.add(turns, time.monotonic() - begun)
-            bar.advance(self.env_steps, chunk.rate() * environments)
+            bar.advance(self.env_steps, chunk.rate() * self.trainer.steps_per_turn)
             if not learning and (state.agent.learner.updates > 0).any():
                 learning = True
                 bar.learning()
@@ -196,11 +200,11 @@ class Run:
     def _healthy(self) -> list[int]:
         return [k for k, member in enumerate(self.members) if member.failure is None]
 
-    def _rows(self, state: TrainState, rate: float, started: float) -> dict[int, dict]:
+    def _rows(self, state: Any, rate: float, started: float) -> dict[int, dict]:
         """An evaluation: a row of metrics.csv for each healthy run."""
         keys = self.program.evaluation_keys(self.env_steps)
         played = jax.device_get(self.program.jitted_evaluation(state.agent, keys))
-        counters = jax.device_get(state.replace(replay=None, env=None, key=None, noise=None))
+        counters = jax.device_get((state.env_steps, state.agent.learner.updates, state.totals))
         seconds = time.monotonic() - started
         rows = {}
         for k in self._healthy():
@@ -208,7 +212,7 @@ class Run:
             rows[k] = self.members[k].row(self.trainer, of_run, episodes, rate, seconds)
         return rows
 
-    def _check_finite(self, state: TrainState) -> None:
+    def _check_finite(self, state: Any) -> None:
         fetched = jax.device_get((state.agent.learner, state.diverged_at))
         for k in self._healthy():
             learner, diverged_at = self.program.of_run(fetched, k)

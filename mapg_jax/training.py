@@ -1,33 +1,21 @@
-"""Collect, store, update: one pure turn, scanned inside one jitted, donating program."""
+"""MAPG's loop: collect, store, update."""
 
-import dataclasses
 import fractions
-import functools
 import math
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 import envs
-from envs.base import Episodes
 from mapg_jax import exploration, heads, replay
-from mapg_jax.agent import Agent, AgentState, hyperparameters, make_agent
+from mapg_jax.a3c_training import A3cTrainer
+from mapg_jax.agent import Agent, AgentState, MapgAgent, hyperparameters, make_agent
 from mapg_jax.config import Config
-from mapg_jax.mapg import Hyperparameters, Transition, UpdateMetrics
+from mapg_jax.loop import Loop, Totals, count_step, no_totals, run_keys
+from mapg_jax.mapg import Transition, UpdateMetrics
 from mapg_jax.replay import ReplayState
-
-
-class Totals(NamedTuple):
-    """Sums since the last evaluation, over updates and over finished training episodes."""
-
-    updates: jax.Array  # [] f32
-    update_metrics: UpdateMetrics
-    episodes: jax.Array  # [] f32
-    episode_return: jax.Array  # []
-    episode_length: jax.Array  # [] steps
 
 
 class TrainState(struct.PyTreeNode):
@@ -46,45 +34,18 @@ class TrainState(struct.PyTreeNode):
     totals: Totals
 
 
-class RunKeys(NamedTuple):
-    """A run's independent random streams."""
-
-    agent: PRNGKeyArray
-    env: PRNGKeyArray
-    loop: PRNGKeyArray
-    evaluation: PRNGKeyArray
-
-
-def run_keys(seed: int | Int[Array, ""]) -> RunKeys:
-    """The streams of a seed."""
-    return RunKeys(*jax.random.split(jax.random.key(seed), 4))
-
-
-class Numbers(NamedTuple):
-    """What, besides the seed, may differ between the runs of one compiled program."""
-
-    hyper: Hyperparameters
-    noise_scale: jax.Array  # [N, 1], σ
-
-
-def numbers(config: Config) -> Numbers:
-    """The numbers of a run."""
-    last = config.noise_scale if config.noise_scale_last is None else config.noise_scale_last
-    scale = jnp.linspace(config.noise_scale, last, config.environments)
-    return Numbers(hyperparameters(config), scale[:, None])
-
-
-@dataclasses.dataclass(frozen=True)
-class Trainer:
-    """The static part of a run.
+class Trainer(Loop):
+    """MAPG's loop.
 
     p / q is the number of updates per environment step; a turn of N environment steps earns N·p
     credits, and each update costs q, so that any ratio is met exactly.
     """
 
-    config: Config
-    env: Episodes
-    agent: Agent
+    agent: MapgAgent
+
+    @property
+    def steps_per_turn(self) -> int:
+        return self.config.environments
 
     @property
     def updates_ratio(self) -> fractions.Fraction:
@@ -95,13 +56,12 @@ class Trainer:
         """The most updates a turn can make."""
         return math.ceil(self.config.environments * self.updates_ratio)
 
-    def init(self, seed: int | Int[Array, ""], own: Numbers | None = None) -> TrainState:
-        """The state before the first step; `own` numbers take the place of the configuration's."""
+    def init(self, seed: int | Int[Array, ""]) -> TrainState:
+        """The state before the first step."""
         config = self.config
         n = config.environments
         keys = run_keys(seed)
-        hyper, noise_scale = own or numbers(config)
-        agent = self.agent.init(keys.agent, hyper, self.env.observation_size)
+        agent = self.agent.init(keys.agent, hyperparameters(config), self.env.observation_size)
         env = jax.vmap(self.env.reset)(jax.random.split(keys.env, n))
         return TrainState(
             agent=agent,
@@ -109,12 +69,12 @@ class Trainer:
             env=env,
             running_return=jnp.zeros(n),
             noise=jnp.zeros((n, self.env.action_size)),
-            noise_scale=noise_scale,
+            noise_scale=noise_scales(config),
             key=keys.loop,
             env_steps=jnp.zeros((), jnp.int32),
             update_credit=jnp.zeros((), jnp.int32),
             diverged_at=jnp.full((), -1, jnp.int32),
-            totals=_no_totals(),
+            totals=no_totals(UpdateMetrics),
         )
 
     def turn(self, state: TrainState) -> TrainState:
@@ -143,21 +103,11 @@ class Trainer:
             terminal=terminal,
             next_observation=env.info["final_observation"],
         )
-        running_return = state.running_return + env.reward
-        steps_ended = jnp.where(ended, state.env.info["steps"] + 1, 0)
-        totals = state.totals._replace(
-            episodes=state.totals.episodes + ended.sum(),
-            episode_return=state.totals.episode_return + (ended * running_return).sum(),
-            episode_length=state.totals.episode_length + steps_ended.sum(),
-        )
+        state = count_step(state, env)
         return state.replace(
             agent=agent,
             replay=replay.add(state.replay, transition),
-            env=env,
-            running_return=jnp.where(ended, 0.0, running_return),
             noise=exploration.restart(noise, ended),
-            env_steps=state.env_steps + self.config.environments,
-            totals=totals,
         )
 
     def learn(
@@ -194,23 +144,6 @@ class Trainer:
             ),
         )
 
-    def run(self, state: TrainState, turns: Int[Array, ""]) -> TrainState:
-        """Any number of turns; where the host cuts them changes nothing."""
-        return jax.lax.fori_loop(0, turns, lambda _, state: self.turn(state), state)
-
-    @functools.cached_property
-    def jitted_init(self):
-        return jax.jit(self.init)
-
-    @functools.cached_property
-    def jitted_run(self):
-        return jax.jit(self.run, donate_argnums=0)
-
-    @functools.cached_property
-    def shapes(self) -> TrainState:
-        """Shapes of the state, found without allocating it."""
-        return jax.eval_shape(self.init, 0)
-
     def _transition(self) -> Transition:
         observation = jnp.zeros(self.env.observation_size)
         return Transition(
@@ -223,22 +156,17 @@ class Trainer:
         )
 
 
-def make_trainer(config: Config, padded_heads: int | None = None) -> Trainer:
+def noise_scales(config: Config) -> Float[Array, "N 1"]:
+    """σ of every environment."""
+    last = config.noise_scale if config.noise_scale_last is None else config.noise_scale_last
+    return jnp.linspace(config.noise_scale, last, config.environments)[:, None]
+
+
+def make_trainer(config: Config, padded_heads: int | None = None) -> Loop:
     """The environment, the agent and the loop of a run."""
     env = envs.with_episodes(config.make_env(), config.episode_steps())
-    return Trainer(config, env, make_agent(config, env.action_size, padded_heads))
-
-
-def _no_totals() -> Totals:
-    """Nothing summed yet."""
-    zero = jnp.zeros(())
-    return Totals(zero, UpdateMetrics(*(zero,) * len(UpdateMetrics._fields)), zero, zero, zero)
-
-
-def state_bytes(trainer: Trainer) -> int:
-    """Memory the training state will take, before any of it is allocated."""
-    leaves = jax.tree.leaves(trainer.shapes)
-    return sum(math.prod(x.shape) * x.dtype.itemsize for x in leaves)
+    trainer = A3cTrainer if config.algorithm == "a3c" else Trainer
+    return trainer(config, env, make_agent(config, env.action_size, padded_heads))
 
 
 def agent_shapes(config: Config, agent: Agent, observation_size: int) -> AgentState:
