@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from mapg_jax.checkpointing import Checkpoints
@@ -86,7 +87,7 @@ class Member:
             "return_mean": summary.mean,
             "return_std": summary.std,
             "episodes": summary.episodes,
-            "episode_length": float(played.lengths.mean(dtype=np.float32)),
+            "episode_length": float(jnp.mean(played.lengths)),
             "training_return": totals.episode_return / episodes,
             "training_episode_length": totals.episode_length / episodes,
             "training_episodes": int(totals.episodes),

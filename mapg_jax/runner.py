@@ -195,7 +195,7 @@ class Run:
                     self.members[k].save(plain, time.monotonic() - started)
                 saved = time.monotonic()
             if signals:
-                raise StoppedError(signals[0], self.members[0].folder.path)
+                raise StoppedError(signals[0], f"mapg resume {self.members[0].folder.path}")
 
     def _healthy(self) -> list[int]:
         return [k for k, member in enumerate(self.members) if member.failure is None]

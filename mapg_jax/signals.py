@@ -1,7 +1,6 @@
 """SIGINT and SIGTERM as requests to stop, obeyed once the state is saved."""
 
 import contextlib
-import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -10,10 +9,8 @@ from collections.abc import Iterator
 class StoppedError(Exception):
     """A signal asked to stop; all state is saved."""
 
-    def __init__(self, number: int, path: os.PathLike):
-        super().__init__(
-            f"stopped by {signal.Signals(number).name}; go on with: mapg resume {path}"
-        )
+    def __init__(self, number: int, command: str):
+        super().__init__(f"stopped by {signal.Signals(number).name}; go on with: {command}")
         self.number = number
 
 
