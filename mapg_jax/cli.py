@@ -17,12 +17,14 @@ import tyro
 import envs
 from mapg_jax import document, heads
 from mapg_jax.config import PRESETS, Config
-from mapg_jax.plotting import draw_curve
+from mapg_jax.finishing import finish
+from mapg_jax.member import DivergedError
 from mapg_jax.recording import draw_drive
 from mapg_jax.report import compose, gather, write
 from mapg_jax.run_folder import RunFolder
-from mapg_jax.runner import DivergedError, StoppedError, resume, start
+from mapg_jax.runner import resume, start
 from mapg_jax.scoring import Physics, evaluate
+from mapg_jax.signals import StoppedError
 
 Preset = Literal["paper", "parallel", "smoke"]
 
@@ -247,11 +249,7 @@ def _named_preset(flags: list[str]) -> str:
 
 
 def _finish(folder: RunFolder, out: TextIO) -> None:
-    config = folder.config
-    policy = "A3C" if config.algorithm == "a3c" else f"M = {config.heads}"
-    title = f"{config.env}, {policy}, seed {config.seed}"
-    draw_curve(folder.metrics, folder.curve, title)
-    _print_score(evaluate(folder, config.final_episodes), out)
+    _print_score(finish(folder), out)
     print(f"run folder:     {folder.path}", file=out)
     print(f"learning curve: {folder.curve}", file=out)
 
