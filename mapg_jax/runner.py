@@ -50,10 +50,13 @@ def prepare(config: Config) -> Loop:
     trainer = make_trainer(config)
     needed, available = state_bytes(trainer), available_bytes()
     if needed > available:
+        what, remedy = "", "fewer --environments"
+        if config.algorithm == "mapg":
+            what = f", of which the replay of {config.replay_size:,} transitions is the most,"
+            remedy = "a smaller --replay-size"
         raise ValueError(
-            f"the run needs {needed / 1e9:.1f} GB, of which the replay of {config.replay_size:,} "
-            f"transitions is the most, but {available / 1e9:.1f} GB are available; "
-            "choose a smaller --replay-size"
+            f"the run needs {needed / 1e9:.1f} GB{what} but {available / 1e9:.1f} GB are available; "
+            f"choose {remedy}"
         )
     return trainer
 

@@ -25,19 +25,25 @@ from mapg_jax.tracking import read_metrics
 from mapg_jax.training import make_trainer
 
 TINY = dataclasses.replace(
-    oracles.TINY, algorithm="a3c", hidden=(16, 16), layer_norm=False, normalize=False
+    oracles.TINY,
+    algorithm="a3c",
+    a3c_rollout_steps=5,
+    hidden=(16, 16),
+    layer_norm=False,
+    normalize=False,
 )
+RUN = dataclasses.replace(oracles.RUN, algorithm="a3c", a3c_rollout_steps=2)
+"""A whole run in turns of 2 steps of 4 environments."""
 
 
 def run(trainer, turns, seed=0):
     return trainer.jitted_run(trainer.jitted_init(seed), turns)
 
 
-def filled(config=TINY, env=None, observation_size=1):
-    """A trainer and a learner state whose last layers are not near 0."""
-    trainer = oracles.make_trainer(env or oracles.Side(), 10, config)
-    learner = trainer.agent.algorithm.init(jax.random.key(1), observation_size)
-    return trainer.agent.algorithm, learner
+def fresh():
+    """The algorithm of TINY and an untrained learner of it."""
+    algorithm = oracles.make_trainer(oracles.Side(), 10, TINY).agent.algorithm
+    return algorithm, algorithm.init(jax.random.key(1), 1)
 
 
 # ----- returns
@@ -86,7 +92,7 @@ def test_density_and_entropy_are_the_multivariate_normals():
 
 def test_samples_have_the_mean_and_the_variance_of_the_network():
     """Of 100,000 draws the mean is within 5 σ / √n, the variance within 5 σ² √(2/n)."""
-    algorithm, learner = filled()
+    algorithm, learner = fresh()
     n = 100_000
     observation = jnp.full((n, 1), 0.7)
     mean, variance = algorithm.gaussian(learner.actor, observation[0])
@@ -140,7 +146,7 @@ def test_the_actors_gradient_is_the_closed_form():
 
 
 def test_the_critic_loss_is_the_mean_square():
-    algorithm, learner = filled()
+    algorithm, learner = fresh()
     rng = np.random.default_rng(0)
     observation, returns = rng.normal(size=(3, 4, 1)), rng.normal(size=(3, 4))
     rollout = Rollout(jnp.float32(observation), None, None, None, None, None)
@@ -238,9 +244,9 @@ def test_entropy_keeps_the_variance_where_nothing_is_to_be_gained():
 
 
 def test_it_learns_pendulum():
-    """A random policy has about -1,200 and a good one -150; 500,000 steps give -200 or more."""
+    """A random policy has about -1,200 and a good one -150; 600,000 steps give some -220."""
     trainer = make_trainer(Config(env="pendulum", algorithm="a3c", seed=100))
-    state = run(trainer, 500_000 // trainer.steps_per_turn, seed=100)
+    state = run(trainer, 600_000 // trainer.steps_per_turn, seed=100)
     played = jax.jit(
         functools.partial(
             play, trainer.env.env, trainer.agent, episodes=50, time_limit=200, select="uniform"
@@ -258,9 +264,8 @@ def test_equal_runs_are_equal_configurations():
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """Turns of 2 steps of 4 environments; the first checkpoint is at step 128."""
-    config = dataclasses.replace(oracles.RUN, algorithm="a3c", a3c_rollout_steps=2)
-    return mapg_jax.train(config, tmp_path_factory.mktemp("runs") / "pendulum")
+    """The first of its checkpoints is at step 128."""
+    return mapg_jax.train(RUN, tmp_path_factory.mktemp("runs") / "pendulum")
 
 
 def test_metrics_have_a_row_an_evaluation(finished):
@@ -295,8 +300,8 @@ def test_a_finished_run_goes_further(finished, tmp_path):
 
 def test_divergence_stops_at_its_step(tmp_path):
     """A rate of 1e30: the second update meets parameters near 1e30."""
-    config = dataclasses.replace(oracles.RUN, algorithm="a3c", a3c_critic_learning_rate=1e30)
-    with pytest.raises(DivergedError, match="no longer finite at step 40"):
+    config = dataclasses.replace(RUN, a3c_critic_learning_rate=1e30)
+    with pytest.raises(DivergedError, match="no longer finite at step 16"):
         mapg_jax.train(config, tmp_path / "run")
 
 
