@@ -7,6 +7,7 @@ their paths in the tree, random keys as their bits; nothing is pickled.
 
 import logging
 import pathlib
+import shutil
 from typing import Any
 
 import jax
@@ -46,6 +47,15 @@ class Checkpoints:
             host=ocp.args.JsonSave(host),
         )
         self._manager.save(int(state.env_steps), args=args, force=True)
+
+    def drop_replay(self) -> None:
+        """Leaves the agents: enough to act and to evaluate, not to train further."""
+        for step in self._manager.all_steps():
+            shutil.rmtree(self.path / str(step) / "rest", ignore_errors=True)
+
+    def can_go_on(self) -> bool:
+        """Whether the newest checkpoint is whole, or only its agent is left."""
+        return (self.path / str(self.newest()) / "rest").exists()
 
     def load(self, shapes: Any) -> tuple[Any, dict[str, Any]]:
         """The newest state, and the host's numbers.

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import datetime
 import importlib.metadata
 import json
 import os
@@ -94,6 +95,7 @@ class RunFolder:
         earlier = json.loads(file.read_text())["history"] if file.exists() else []
         process = {
             "command": shlex.join(["mapg", *sys.argv[1:]]),
+            "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
             "python": platform.python_version(),
             "packages": {name: _version(name) for name in PACKAGES},
         }
@@ -118,20 +120,10 @@ def _next_free(config: Config) -> pathlib.Path:
 
 
 def _parse_config(values: dict[str, Any]) -> Config:
-    """JSON has no tuples; unknown or missing names are refused.
-
-    A run of MAPG need not name the algorithm, nor A3C's numbers: they change nothing there.
-    """
-    hints = typing.get_type_hints(Config)
-    needed = set(hints)
-    if values.get("algorithm", "mapg") == "mapg":
-        needed = {k for k in hints if k != "algorithm" and not k.startswith("a3c_")}
-    differences = {"unknown": set(values) - set(hints), "missing": needed - set(values)}
-    if any(differences.values()):
-        lists = (
-            f"{what}: {', '.join(sorted(names))}" for what, names in differences.items() if names
-        )
-        raise ValueError("; ".join(lists))
+    """JSON has no tuples; a field that came after the run has the default, as the run had."""
+    unknown = set(values) - set(typing.get_type_hints(Config))
+    if unknown:
+        raise ValueError(f"unknown: {', '.join(sorted(unknown))}")
     arguments: dict[str, Any] = {
         k: tuple(v) if isinstance(v, list) else v for k, v in values.items()
     }

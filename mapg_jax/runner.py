@@ -2,63 +2,47 @@
 
 import contextlib
 import dataclasses
-import functools
 import math
 import os
-import signal
-import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import psutil
 
-from mapg_jax.checkpointing import Checkpoints
 from mapg_jax.config import Config
-from mapg_jax.evaluation import play, summarize
-from mapg_jax.loop import Loop, run_keys, state_bytes
+from mapg_jax.lockstep import Lockstep
+from mapg_jax.loop import Loop
+from mapg_jax.member import Member
 from mapg_jax.run_folder import RunFolder
-from mapg_jax.tracking import MetricsFile, Progress, cut_metrics
-from mapg_jax.training import make_trainer
+from mapg_jax.signals import StoppedError, caught_signals
+from mapg_jax.tracking import MetricsFile, Progress
 
 CHUNK_SECONDS = 1.0  # how often the host looks up
 
 
-class DivergedError(ArithmeticError):
-    """A loss or a parameter is no longer finite."""
-
-
-class StoppedError(Exception):
-    """A signal asked the run to stop; its state is saved."""
-
-    def __init__(self, number: int, path: os.PathLike):
-        super().__init__(
-            f"stopped by {signal.Signals(number).name}; go on with: mapg resume {path}"
-        )
-        self.number = number
-
-
-def prepare(config: Config) -> Loop:
-    """The run's static part, refused before anything is allocated or compiled if it cannot run.
+def prepare(*configs: Config) -> Lockstep:
+    """The static part of a run, or of several in lockstep, refused before anything is compiled.
 
     Raises:
       ValueError: if the environment cannot be made or the buffers do not fit the memory.
     """
-    trainer = make_trainer(config)
-    needed, available = state_bytes(trainer), available_bytes()
+    program = Lockstep(configs)
+    (replay_size,) = {config.replay_size for config in configs}
+    needed, available = program.bytes, available_bytes()
     if needed > available:
+        together = f"{len(configs)} runs in lockstep need" if len(configs) > 1 else "the run needs"
         what, remedy = "", "fewer --environments"
-        if config.algorithm == "mapg":
-            what = f", of which the replay of {config.replay_size:,} transitions is the most,"
+        if configs[0].algorithm == "mapg":
+            what = f", of which the replay of {replay_size:,} transitions is the most,"
             remedy = "a smaller --replay-size"
         raise ValueError(
-            f"the run needs {needed / 1e9:.1f} GB{what} but {available / 1e9:.1f} GB are available; "
+            f"{together} {needed / 1e9:.1f} GB{what} but {available / 1e9:.1f} GB are available; "
             f"choose {remedy}"
         )
-    return trainer
+    return program
 
 
 def available_bytes() -> int:
@@ -80,8 +64,8 @@ def start(config: Config, out: str | os.PathLike | None = None) -> "Run":
     Raises:
       ValueError: if the run cannot be made, before anything is written.
     """
-    trainer = prepare(config)
-    return Run(trainer, RunFolder.create(out, config))
+    program = prepare(config)
+    return Run(program, [RunFolder.create(out, config)])
 
 
 def resume(path: str | os.PathLike, steps: int | None = None) -> "Run":
@@ -97,7 +81,7 @@ def resume(path: str | os.PathLike, steps: int | None = None) -> "Run":
     folder = RunFolder.open(path)
     if steps is not None:
         folder = RunFolder(folder.path, dataclasses.replace(folder.config, steps=steps))
-    run = Run(prepare(folder.config), folder)
+    run = Run(prepare(folder.config), [folder])
     run.restore()
     if not run.finished:
         folder.write_config()
@@ -112,25 +96,28 @@ def train(config: Config, out: str | os.PathLike | None = None) -> RunFolder:
 
 
 class Run:
-    """A run under way on the host; it counts in the trainer's turns."""
+    """A run under way on the host, or several in lockstep; it counts in the trainer's turns."""
 
-    def __init__(self, trainer: Loop, folder: RunFolder):
-        config = folder.config
-        self.trainer, self.folder, self.config = trainer, folder, config
+    def __init__(self, program: Lockstep, folders: Sequence[RunFolder]):
+        config = folders[0].config
+        self.program, self.config = program, config
+        self.members = [Member(folder) for folder in folders]
         self.turn = 0
-        self.last_turn = math.ceil(config.steps / trainer.steps_per_turn)
-        self._turns_per_evaluation = max(1, round(config.evaluate_every / trainer.steps_per_turn))
+        self.last_turn = math.ceil(config.steps / self.trainer.steps_per_turn)
+        self._turns_per_evaluation = max(
+            1, round(config.evaluate_every / self.trainer.steps_per_turn)
+        )
         self._state: Any = None
-        self._seconds_before = 0.0
-        self._checkpoints = Checkpoints(folder.checkpoints, config.checkpoints_kept)
 
-    def restore(self) -> None:
-        """Takes up the newest checkpoint, if there is one."""
-        if self._checkpoints.newest() is None:
-            return
-        self._state, host = self._checkpoints.load(self.trainer.shapes)
-        self.turn = int(self._state.env_steps) // self.trainer.steps_per_turn
-        self._seconds_before = host["seconds"]
+    @property
+    def trainer(self) -> Loop:
+        return self.program.trainer
+
+    @property
+    def folder(self) -> RunFolder:
+        """Of a run alone."""
+        (member,) = self.members
+        return member.folder
 
     @property
     def env_steps(self) -> int:
@@ -141,32 +128,44 @@ class Run:
     def finished(self) -> bool:
         return self.turn >= self.last_turn
 
+    def restore(self) -> None:
+        """Takes up the newest checkpoints, if there are any; all must be of one step."""
+        (newest,) = {member.checkpoints.newest() for member in self.members}
+        if newest is None:
+            return
+        self.turn = newest // self.trainer.steps_per_turn
+        if self.finished and not all(m.checkpoints.can_go_on() for m in self.members):
+            return  # nothing is left to do with the state
+        shapes = self.program.plain_shapes
+        self._state = self.program.join([m.load(shapes(k)) for k, m in enumerate(self.members)])
+
     def go(self, progress: bool = False) -> None:
-        """Runs to the last turn.
+        """Runs to the last turn; a member that diverges does not stop the others.
 
         Args:
           progress: whether to show it on standard error.
 
         Raises:
-          DivergedError: at the first loss or parameter that is not finite.
+          DivergedError: at the first loss or parameter that is not finite, if no run is left.
           StoppedError: on SIGINT or SIGTERM, once the state is saved.
         """
-        cut_metrics(self.folder.metrics, self.env_steps)
-        self.folder.evaluation.unlink(missing_ok=True)  # it will be of an earlier policy
-        with (
-            caught_signals() as signals,
-            contextlib.closing(MetricsFile(self.folder.metrics, self.env_steps)) as metrics,
-            Progress(self.last_turn * self.trainer.steps_per_turn, progress) as bar,
-        ):
+        with contextlib.ExitStack() as stack:
+            signals = stack.enter_context(caught_signals())
+            metrics = [
+                stack.enter_context(contextlib.closing(member.metrics_file(self.env_steps)))
+                for member in self.members
+            ]
+            bar = stack.enter_context(
+                Progress(self.last_turn * self.trainer.steps_per_turn, progress)
+            )
             self._loop(signals, metrics, bar)
 
-    def _loop(self, signals: list[int], metrics: MetricsFile, bar: Progress) -> None:
+    def _loop(self, signals: list[int], metrics: Sequence[MetricsFile], bar: Progress) -> None:
         started = saved = time.monotonic()
         state, self._state = self._state, None  # its buffers are donated to the first chunk
         if state is None:
-            state = self.trainer.jitted_init(self.config.seed)
-        run = self.trainer.jitted_run.lower(state, 0).compile()
-        evaluate = self._jitted_evaluation()
+            state = self.program.init()
+        run = self.program.jitted_run.lower(state, 0).compile()
         chunk, interval = Pace(), Pace()
         learning = False
         while not self.finished:
@@ -180,71 +179,49 @@ class Run:
             for pace in (chunk, interval):
                 pace.add(turns, time.monotonic() - begun)
             bar.advance(self.env_steps, chunk.rate() * self.trainer.steps_per_turn)
-            if not learning and state.agent.learner.updates > 0:
+            if not learning and (state.agent.learner.updates > 0).any():
                 learning = True
                 bar.learning()
 
             if self.turn == stop:
-                seconds = self._seconds_before + time.monotonic() - started
-                row = self._row(state, evaluate, interval.rate(), seconds)
-                metrics.write(row)
-                bar.evaluated(row, (self.last_turn - self.turn) / interval.rate())
+                rows = self._rows(state, interval.rate(), started)
+                for k, row in rows.items():
+                    metrics[k].write(row)
+                first = next(iter(rows.values()))
+                bar.evaluated(first, (self.last_turn - self.turn) / interval.rate())
                 totals = jax.tree.map(jnp.zeros_like, state.totals)
                 state, interval = state.replace(totals=totals), Pace()
             over = time.monotonic() - saved >= self.config.checkpoint_seconds
             if over or signals or self.finished:
-                seconds = self._seconds_before + time.monotonic() - started
-                self._checkpoints.save(state, {"seconds": seconds})
+                for k in self._healthy():
+                    plain = self.program.plain_state(state, k)
+                    self.members[k].save(plain, time.monotonic() - started)
                 saved = time.monotonic()
             if signals:
-                raise StoppedError(signals[0], self.folder.path)
+                raise StoppedError(signals[0], f"mapg resume {self.members[0].folder.path}")
 
-    def _jitted_evaluation(self):
-        return jax.jit(
-            functools.partial(
-                play,
-                self.trainer.env.env,
-                self.trainer.agent,
-                episodes=self.config.evaluation_episodes,
-                time_limit=self.trainer.env.time_limit,
-                select="uniform",
-            )
-        )
+    def _healthy(self) -> list[int]:
+        return [k for k, member in enumerate(self.members) if member.failure is None]
 
-    def _row(self, state: Any, evaluate, turns_per_second: float, seconds: float) -> dict:
-        """One row of metrics.csv; docs/metrics.md defines the columns."""
-        env_steps = int(state.env_steps)
-        key = jax.random.fold_in(run_keys(self.config.seed).evaluation, env_steps)
-        played = evaluate(state.agent, key)
-        summary = summarize(played.returns)
-        totals = jax.tree.map(float, state.totals)
-        updates, episodes = totals.updates or math.nan, totals.episodes or math.nan
-        return {
-            "env_steps": env_steps,
-            "updates": int(state.agent.learner.updates),
-            "return_mean": summary.mean,
-            "return_std": summary.std,
-            "episodes": summary.episodes,
-            "episode_length": float(played.lengths.mean()),
-            "training_return": totals.episode_return / episodes,
-            "training_episode_length": totals.episode_length / episodes,
-            "training_episodes": int(totals.episodes),
-            **{k: v / updates for k, v in totals.update_metrics._asdict().items()},
-            **{k: float(v) for k, v in played.heads._asdict().items()},
-            "steps_per_second": turns_per_second * self.trainer.steps_per_turn,
-            "updates_per_second": turns_per_second
-            * float(self.trainer.updates_ratio * self.trainer.steps_per_turn),
-            "seconds": seconds,
-        }
+    def _rows(self, state: Any, rate: float, started: float) -> dict[int, dict]:
+        """An evaluation: a row of metrics.csv for each healthy run."""
+        keys = self.program.evaluation_keys(self.env_steps)
+        played = jax.device_get(self.program.jitted_evaluation(state.agent, keys))
+        counters = jax.device_get((state.env_steps, state.agent.learner.updates, state.totals))
+        seconds = time.monotonic() - started
+        rows = {}
+        for k in self._healthy():
+            of_run, episodes = self.program.of_run((counters, played), k)
+            rows[k] = self.members[k].row(self.trainer, of_run, episodes, rate, seconds)
+        return rows
 
     def _check_finite(self, state: Any) -> None:
-        at = int(state.diverged_at)
-        if at < 0 and not all(np.isfinite(x).all() for x in jax.tree.leaves(state.agent.learner)):
-            at = int(state.env_steps)
-        if at >= 0:
-            newest = self._checkpoints.newest()
-            kept = f"the checkpoint at step {newest:,} stays" if newest else "no checkpoint was due"
-            raise DivergedError(f"a loss or parameter is no longer finite at step {at:,}; {kept}")
+        fetched = jax.device_get((state.agent.learner, state.diverged_at))
+        for k in self._healthy():
+            learner, diverged_at = self.program.of_run(fetched, k)
+            self.members[k].check_finite(learner, int(diverged_at), self.env_steps)
+        if not self._healthy():
+            raise next(member.failure for member in self.members if member.failure)
 
 
 class Pace:
@@ -266,27 +243,3 @@ class Pace:
     def rate(self) -> float:
         """Turns per second so far."""
         return self._turns / self._seconds
-
-
-@contextlib.contextmanager
-def caught_signals() -> Iterator[list[int]]:
-    """SIGINT and SIGTERM in a list instead of an exception; a second one acts as usual.
-
-    One that is ignored, as SIGINT is in a shell's background jobs, stays ignored.
-    """
-    caught: list[int] = []
-    previous = {}
-
-    def handle(number, _frame):
-        caught.append(number)
-        signal.signal(number, previous[number])
-
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM):
-            if signal.getsignal(number) is not signal.SIG_IGN:
-                previous[number] = signal.signal(number, handle)
-    try:
-        yield caught
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)

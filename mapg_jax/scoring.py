@@ -28,8 +28,26 @@ def evaluate(
 ) -> dict[str, Any]:
     """Scores the newest checkpoint, and writes the result to the run's evaluation.json.
 
+    See `score`.
+    """
+    if not isinstance(folder, RunFolder):
+        folder = RunFolder.open(folder)
+    record = score(folder, episodes, physics, select, seed)
+    write_json(folder.evaluation, record)
+    return record
+
+
+def score(
+    folder: RunFolder,
+    episodes: int = 100,
+    physics: Physics = "auto",
+    select: heads.Select = "uniform",
+    seed: int = 0,
+) -> dict[str, Any]:
+    """The score of the newest checkpoint, as docs/metrics.md describes evaluation.json.
+
     Args:
-      folder: of the run, or its path.
+      folder: of the run.
       episodes: E starts, one episode each.
       physics: what to run on.
       select: how one action is made of the M proposals.
@@ -42,13 +60,11 @@ def evaluate(
         raise ValueError(f"episodes must be at least 1, got {episodes}")
     if not 0 <= seed < 2**31:
         raise ValueError(f"seed must be at least 0 and below 2147483648, got {seed}")
-    if not isinstance(folder, RunFolder):
-        folder = RunFolder.open(folder)
     policy = load_policy(folder.path, seed, select)
-    score = _in_gymnasium if physics == "gymnasium" else _in_jax
-    physics, returns, lengths, extra = score(folder, policy, episodes, physics, select, seed)
+    play_in = _in_gymnasium if physics == "gymnasium" else _in_jax
+    physics, returns, lengths, extra = play_in(folder, policy, episodes, physics, select, seed)
     summary = summarize(returns)
-    record = {
+    return {
         "env": folder.config.env,
         "physics": physics,
         "select": select,
@@ -61,8 +77,6 @@ def evaluate(
         "lengths": [int(x) for x in lengths],
         **extra,
     }
-    write_json(folder.evaluation, record)
-    return record
 
 
 def _in_jax(folder, policy: Policy, episodes, physics, select, seed):

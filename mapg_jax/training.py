@@ -6,7 +6,7 @@ import math
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 import envs
 from mapg_jax import exploration, heads, replay
@@ -63,14 +63,13 @@ class Trainer(Loop):
         keys = run_keys(seed)
         agent = self.agent.init(keys.agent, hyperparameters(config), self.env.observation_size)
         env = jax.vmap(self.env.reset)(jax.random.split(keys.env, n))
-        last = config.noise_scale if config.noise_scale_last is None else config.noise_scale_last
         return TrainState(
             agent=agent,
             replay=replay.init(self._transition(), config.replay_size),
             env=env,
             running_return=jnp.zeros(n),
             noise=jnp.zeros((n, self.env.action_size)),
-            noise_scale=jnp.linspace(config.noise_scale, last, n)[:, None],
+            noise_scale=noise_scales(config),
             key=keys.loop,
             env_steps=jnp.zeros((), jnp.int32),
             update_credit=jnp.zeros((), jnp.int32),
@@ -155,6 +154,12 @@ class Trainer(Loop):
             terminal=jnp.zeros((), bool),
             next_observation=observation,
         )
+
+
+def noise_scales(config: Config) -> Float[Array, "N 1"]:
+    """σ of every environment."""
+    last = config.noise_scale if config.noise_scale_last is None else config.noise_scale_last
+    return jnp.linspace(config.noise_scale, last, config.environments)[:, None]
 
 
 def make_trainer(config: Config, padded_heads: int | None = None) -> Loop:

@@ -1,6 +1,7 @@
 """Slow, obvious versions of what is tested, and tiny environments whose values are known."""
 
 import collections
+import csv
 import dataclasses
 import math
 import pathlib
@@ -15,7 +16,8 @@ from mapg_jax.agent import MapgAgent, make_agent
 from mapg_jax.checkpointing import Checkpoints
 from mapg_jax.config import Config
 from mapg_jax.mapg import Transition, UpdateMetrics
-from mapg_jax.run_folder import RunFolder
+from mapg_jax.results import Result
+from mapg_jax.run_folder import RunFolder, write_json
 from mapg_jax.runner import start
 from mapg_jax.training import Trainer, TrainState
 
@@ -302,3 +304,40 @@ def ou_moments(start, theta, sigma, dt, steps):
 def chi_square_limit(cells: int, deviations: float = 6.0) -> float:
     """A bound of Pearson's statistic: its mean plus so many of its standard deviations."""
     return (cells - 1) + deviations * math.sqrt(2 * (cells - 1))
+
+
+# ----- finished runs, without training
+
+
+def result(**fields) -> Result:
+    """A record of MAPG on Hopper."""
+    return Result(
+        env="hopper", algorithm="mapg", heads=10, seed=0, steps=1000, return_mean=7.0,
+        return_std=2.0, episodes=100, settings="", select="uniform", physics="native",
+        versions="gymnasium 1.4.0, mujoco 3.17.0", seconds=60.0, date="2026-01-01",
+        command="mapg train",
+    )._replace(**fields)  # fmt: skip
+
+
+def finished_run(config: Config, path: pathlib.Path, returns, metrics=None) -> RunFolder:
+    """The files that a run leaves, with these returns."""
+    folder = RunFolder.create(path, config)
+    turn = config.environments
+    for share in (0.25, 0.5, 0.75, 1.0):
+        steps = math.ceil(share * config.steps / turn) * turn
+        row = {
+            "env_steps": steps, "return_mean": share * float(np.mean(returns)), "return_std": 1.0,
+            "spread": 1.0 - share, "q_gap_relative": 0.5, "seconds": 12.5 * share,
+        }  # fmt: skip
+        with folder.metrics.open("a", newline="") as file:
+            writer = csv.DictWriter(file, row)
+            if share == 0.25:
+                writer.writeheader()
+            writer.writerow(row)
+    record = {
+        "env": config.env, "physics": "native", "select": "uniform", "episodes": len(returns),
+        "mean": float(np.mean(returns)), "std": float(np.std(returns, ddof=1)),
+        "returns": list(returns),
+    }  # fmt: skip
+    write_json(folder.evaluation, record | ({"metrics": metrics} if metrics else {}))
+    return folder

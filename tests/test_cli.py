@@ -88,7 +88,7 @@ REFUSALS = [
     ("resume empty", "empty is not a run folder: it has no config.json"),
     ("resume torn", "torn/config.json is damaged"),
     ("resume wrong", "heads must be at least 1, got 0"),
-    ("resume unknown", "unknown: haeds; missing: heads"),
+    ("resume unknown", "unknown: haeds"),
     ("resume typed", "typed/config.json is damaged"),
     ("resume listed", "listed/config.json is damaged"),
     ("resume damaged", "800 is damaged"),

@@ -18,11 +18,12 @@ import oracles
 import pytest
 
 import mapg_jax
-from mapg_jax import runner
+from mapg_jax import runner, signals
 from mapg_jax.checkpointing import Checkpoints
 from mapg_jax.config import PRESETS
+from mapg_jax.member import DivergedError
 from mapg_jax.run_folder import RunFolder
-from mapg_jax.runner import DivergedError, resume, start
+from mapg_jax.runner import resume, start
 from mapg_jax.tracking import read_metrics
 from mapg_jax.training import make_trainer
 
@@ -232,7 +233,7 @@ def interrupts():
 
 def test_a_second_signal_acts_as_usual(interrupts):
     interrupts(signal.default_int_handler)
-    with pytest.raises(KeyboardInterrupt), runner.caught_signals() as caught:
+    with pytest.raises(KeyboardInterrupt), signals.caught_signals() as caught:
         os.kill(os.getpid(), signal.SIGINT)
         assert caught == [signal.SIGINT]
         os.kill(os.getpid(), signal.SIGINT)
@@ -242,7 +243,7 @@ def test_a_second_signal_acts_as_usual(interrupts):
 
 def test_an_ignored_signal_stays_ignored(interrupts):
     interrupts(signal.SIG_IGN)
-    with runner.caught_signals() as caught:
+    with signals.caught_signals() as caught:
         os.kill(os.getpid(), signal.SIGINT)
     assert caught == []
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN

@@ -1,0 +1,60 @@
+"""Box plots of the score over M, for Figures 1 and 5 (C2)."""
+
+import json
+from collections.abc import Sequence
+
+import numpy as np
+
+from experiments import rows
+from experiments.plan import Plan
+from mapg_jax.config import Config
+from mapg_jax.plotting import draw_boxes
+from mapg_jax.run_folder import RunFolder
+
+FILE = "episodes.csv"
+
+
+def runs(plan: Plan, envs: Sequence[str]) -> list[Config]:
+    """Every M on those tasks."""
+    envs = [env for env in envs if env in plan.tasks]
+    return [
+        config for env in envs for m in (1, *plan.heads) for config in plan.over_seeds(env, heads=m)
+    ]
+
+
+def measure(plan: Plan, folder: RunFolder) -> None:
+    """Adds the return of every episode of the score."""
+    key = rows.identity(folder.config)
+    if not rows.holds(plan.results / FILE, key):
+        returns = json.loads(folder.evaluation.read_text())["returns"]
+        text = " ".join(f"{x:.6g}" for x in returns)
+        rows.append(plan.results / FILE, [{**key, "returns": text}])
+
+
+def section(plan: Plan, envs: Sequence[str], picture: str) -> str:
+    """The picture, and what it shows."""
+    found = rows.of(plan.results / FILE, runs(plan, envs))
+    if not found:
+        return rows.missing(runs(plan, envs))
+    figure = draw_boxes(by_task(plan, found, envs), "return of an episode")
+    figure.savefig(plan.results / picture, dpi=120)
+    return (
+        f"![Score over M]({picture})\n\n"
+        "A box a value of M: quartiles and median of the returns of all episodes of all seeds, "
+        "whiskers to 1.5 times the box, as the paper draws the episodes of one run; a point is the "
+        "mean of one seed, and their scatter is what tells M apart from chance. M = 1 is DDPG."
+    )
+
+
+def by_task(plan: Plan, found: Sequence[rows.Row], envs: Sequence[str]):
+    """Task → M → the returns of every seed's episodes."""
+
+    def returns(env, m):
+        of_m = [row for row in found if (row["env"], row["heads"]) == (env, str(m))]
+        return [np.array(row["returns"].split(), float) for row in of_m]
+
+    return {
+        env: {str(m): returns(env, m) for m in (1, *plan.heads)}
+        for env in envs
+        if env in plan.tasks
+    }

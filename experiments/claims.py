@@ -1,0 +1,240 @@
+"""The ledger: every claim of the paper, the evidence, and a verdict by experiments/protocol.md."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments import fig2, fig3, fig4, heads, overhead, scores, table2, torcs
+from experiments.plan import A3C, DDPG, MAPG, NO_NOISE, Plan
+from mapg_jax import statistics
+from mapg_jax.config import Config
+
+SUPPORTED, CONTRADICTED = "supported", "contradicted"
+UNDECIDED, NOT_TESTED = "undecided", "not tested"
+Changes = Mapping[str, Any]
+
+
+class Verdict(NamedTuple):
+    """One line of the ledger."""
+
+    claim: str
+    text: str
+    evidence: str
+    verdict: str
+
+
+def runs(plan: Plan) -> list[Config]:
+    """All of the other experiments'."""
+    return [config for module in (table2, fig2, fig4, torcs, heads) for config in module.runs(plan)]
+
+
+def section(plan: Plan) -> str:
+    """The ledger as a table."""
+    lines = ["| | claim | evidence | verdict |", "|---|---|---|---|"]
+    lines += [f"| {v.claim} | {v.text} | {v.evidence} | **{v.verdict}** |" for v in ledger(plan)]
+    return "\n".join(lines) + (
+        "\n\nP is the probability of improvement: the share of pairs of seeds in which the first "
+        "named scores higher, with its 95 % interval over seeds (wider where one task of several "
+        "is enough to contradict); n counts seeds. A verdict needs three seeds in every cell it "
+        "uses, and an exact rank-sum test beside the interval, which no comparison of three seeds "
+        "against three can pass."
+    )
+
+
+def pairwise(
+    plan: Plan,
+    claim: str,
+    text: str,
+    envs: Sequence[str],
+    ours: Changes,
+    theirs: Changes,
+    claimed: str = "above",
+) -> Verdict:
+    """A claim that one arm scores above (or below) another on every one of several tasks."""
+    sides, wide_sides, evidence = [], [], []
+    for env in envs:
+        y, x = (scores.means(plan, plan.over_seeds(env, **arm)) for arm in (ours, theirs))
+        if not (len(y) and len(x)):
+            evidence.append(f"{env} missing")
+            sides.append(UNDECIDED)
+            continue
+        wide = statistics.compare(y, x, level=1 - 0.05 / len(envs))
+        sides.append(statistics.compare(y, x).verdict)
+        wide_sides.append(wide.verdict)
+        evidence.append(f"{env} {_interval(wide.improvement)}, n = {len(y)}, {len(x)}")
+    verdict = _over_tasks(sides, wide_sides, claimed)
+    return Verdict(claim, text, "P: " + "; ".join(evidence), verdict)
+
+
+def c1(plan: Plan) -> Verdict:
+    text = "M = 10 beats DDPG on every task"
+    return pairwise(plan, "C1", text, plan.tasks, MAPG, DDPG)
+
+
+def c2a(plan: Plan) -> Verdict:
+    """The rank correlation of score with M, on two tasks."""
+    envs = ("hopper", "walker2d")
+    sides, wide_sides, evidence = [], [], []
+    for env in envs:
+        groups = {m: scores.means(plan, plan.over_seeds(env, heads=m)) for m in (1, *plan.heads)}
+        seeds = min(map(len, groups.values()))
+        groups = {m: of_m for m, of_m in groups.items() if len(of_m)}
+        counts = ", ".join(f"M = {m}: {len(x)}" for m, x in groups.items())
+        if len(groups) < 2:
+            evidence.append(f"{env} missing")
+            sides.append(UNDECIDED)
+            continue
+        for level, into in ((0.95, sides), (1 - 0.05 / len(envs), wide_sides)):
+            estimate = statistics.spearman(groups, level)
+            into.append(statistics.verdict(estimate, 0.0, seeds, level=level))
+        evidence.append(f"{env} {_interval(estimate)}, n of {counts}")
+    text = "the score grows with M on Hopper and Walker2d"
+    verdict = _over_tasks(sides, wide_sides, "above")
+    return Verdict("C2a", text, "rank correlation: " + "; ".join(evidence), verdict)
+
+
+def c2b(plan: Plan) -> Verdict:
+    envs = [env for env in plan.tasks if env != "humanoid"]
+    text = "M = 5 beats DDPG on all but Humanoid"
+    return pairwise(plan, "C2b", text, envs, {"heads": 5}, DDPG)
+
+
+def c3(plan: Plan) -> Verdict:
+    found = fig2.statistics_by_seed(plan)
+    n = len(found["spikes"])
+    step, reward, spikes = (_student(values) for values in found.values())
+    correlations = [statistics.verdict(e, 0.0, n) for e in (step, reward)]
+    verdict = UNDECIDED
+    if correlations == ["below", "below"] and statistics.verdict(spikes, 2.0, n) == "above":
+        verdict = SUPPORTED
+    elif "above" in correlations:
+        verdict = CONTRADICTED
+    evidence = (
+        f"rank correlation of spread with step {_interval(step)}, with return {_interval(reward)}; "
+        f"largest over median spread of the second half {_interval(spikes)}; n = {n}"
+    )
+    text = "the spread of the actions falls as the return rises, with spikes that stay"
+    return Verdict("C3", text, evidence, verdict)
+
+
+def c4(plan: Plan) -> Verdict:
+    spread = {k: np.array(v) for k, v in fig3.spread_by_seed(plan).items()}
+    n = len(spread["upright"])
+    peak = _student(np.log(spread["hanging"] / spread["between"]))
+    top = _student(spread["upright"])
+    sides = [statistics.verdict(peak, 0.0, n), statistics.verdict(top, 0.02, n)]
+    verdict = UNDECIDED
+    if sides == ["above", "above"]:
+        verdict = SUPPORTED
+    elif "below" in sides:
+        verdict = CONTRADICTED
+    evidence = (
+        f"log ratio of the spread near 0° to that at 30° to 150° {_interval(peak)}; "
+        f"spread beyond 150° {_interval(top)}; n = {n}"
+    )
+    text = "the spread peaks as the pendulum hangs down and stays above 0 upright"
+    return Verdict("C4", text, evidence, verdict)
+
+
+def c5a(plan: Plan) -> Verdict:
+    text = "M = 10 without noise explores as well as DDPG with it"
+    return pairwise(plan, "C5a", text, fig4.ENVS, {**MAPG, **NO_NOISE}, DDPG)
+
+
+def c5b(plan: Plan) -> Verdict:
+    text = "with noise M = 10 beats DDPG"
+    return pairwise(plan, "C5b", text, fig4.ENVS, MAPG, DDPG)
+
+
+def c6a(plan: Plan) -> Verdict:
+    shares = [r.lap_share for r in scores.of(plan, torcs.arm(plan, MAPG))]
+    most = len(shares) / 2
+    verdict = UNDECIDED
+    if len(shares) >= statistics.LEAST_SEEDS:
+        if sum(share >= 0.5 for share in shares) > most:
+            verdict = SUPPORTED
+        elif sum(share == 0 for share in shares) > most:
+            verdict = CONTRADICTED
+    return Verdict("C6a", "driving: M = 10 completes laps", _shares(shares), verdict)
+
+
+def c6b(plan: Plan) -> Verdict:
+    shares = [r.lap_share for r in scores.of(plan, torcs.arm(plan, DDPG))]
+    verdict = UNDECIDED
+    if len(shares) >= statistics.LEAST_SEEDS:
+        if max(shares) == 0:
+            verdict = SUPPORTED
+        elif max(shares) >= 0.5:
+            verdict = CONTRADICTED
+    return Verdict("C6b", "driving: DDPG completes none", _shares(shares), verdict)
+
+
+def c7(plan: Plan) -> Verdict:
+    ratios = overhead.ratios(plan, "seconds_per_step").get(10, [])
+    estimate = _student(ratios)
+    side = statistics.verdict(estimate, 1.5, len(ratios)) if len(ratios) >= 7 else UNDECIDED
+    verdict = {"below": SUPPORTED, "above": CONTRADICTED}.get(side, UNDECIDED)
+    evidence = (
+        f"time of a training step, M = 10 over M = 1: {_interval(estimate)}, {len(ratios)} rounds"
+    )
+    return Verdict("C7", "M costs little time", evidence, verdict)
+
+
+def c8(plan: Plan) -> Verdict:
+    sides, wide_sides, evidence = [], [], []
+    for env in plan.tasks:
+        gaps = heads.gap_by_seed(plan, env)
+        for level, into in ((0.95, sides), (1 - 0.05 / len(plan.tasks), wide_sides)):
+            estimate = _student(gaps, level)
+            into.append(statistics.verdict(estimate, 0.1, len(gaps), level=level))
+        evidence.append(f"{env} {_interval(estimate)}, n = {len(gaps)}")
+    text = "all proposals of an optimal policy have the same expected return"
+    verdict = _over_tasks(sides, wide_sides, "below")
+    return Verdict("C8", text, "Q-gap over std of Q: " + "; ".join(evidence), verdict)
+
+
+def c9(plan: Plan) -> Verdict:
+    text = "A3C does worse than DDPG on every task"
+    return pairwise(plan, "C9", text, plan.tasks, A3C, DDPG, claimed="below")
+
+
+def c10(_: Plan) -> Verdict:
+    return Verdict("C10", "the idea carries over to NAF and TRPO", "", NOT_TESTED)
+
+
+JUDGES: tuple[Callable[[Plan], Verdict], ...] = (
+    c1, c2a, c2b, c3, c4, c5a, c5b, c6a, c6b, c7, c8, c9, c10,
+)  # fmt: skip
+
+
+def ledger(plan: Plan) -> list[Verdict]:
+    """All verdicts, C1 to C10."""
+    return [judge(plan) for judge in JUDGES]
+
+
+def _interval(estimate: statistics.Estimate) -> str:
+    if not np.isfinite(estimate.value):
+        return "missing"
+    if not np.isfinite(estimate.low):
+        return f"{estimate.value:.2f} (no interval)"
+    return f"{estimate.value:.2f} ({estimate.low:.2f} to {estimate.high:.2f})"
+
+
+def _student(values, level: float = 0.95) -> statistics.Estimate:
+    """Over seeds; nan where there are none."""
+    missing = statistics.Estimate(np.nan, np.nan, np.nan)
+    return statistics.student(values, level) if len(values) else missing
+
+
+def _over_tasks(sides: Sequence[str], wide_sides: Sequence[str], claimed: str) -> str:
+    """Every task must be on the claimed side; one on the other, at the wider level, contradicts."""
+    if all(side == claimed for side in sides):
+        return SUPPORTED
+    opposite = {"above": "below", "below": "above"}[claimed]
+    return CONTRADICTED if opposite in wide_sides else UNDECIDED
+
+
+def _shares(shares: Sequence[float | None]) -> str:
+    listed = ", ".join(f"{share:.0%}" for share in shares if share is not None)
+    return f"episodes with a lap, by seed: {listed or 'missing'}"

@@ -1,0 +1,35 @@
+"""Learning curves of finished runs, in one CSV file."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from experiments import rows
+from experiments.plan import Plan
+from mapg_jax.config import Config
+from mapg_jax.run_folder import RunFolder
+from mapg_jax.tracking import read_metrics
+
+FILE = "curves.csv"
+COLUMNS = ("env_steps", "return_mean", "training_return", "spread", "q_gap_relative", "critic_loss")
+
+
+def measure(plan: Plan, folder: RunFolder) -> None:
+    """Adds the curve of a run."""
+    key = rows.identity(folder.config)
+    if not rows.holds(plan.results / FILE, key):
+        metrics = read_metrics(folder.metrics)
+        new = [{**key, **{c: f"{row[c]:.6g}" for c in COLUMNS}} for row in metrics]
+        rows.append(plan.results / FILE, new)
+
+
+def of(plan: Plan, runs: Sequence[Config]) -> list[dict[str, np.ndarray]]:
+    """The curves of those runs that have finished: columns as arrays, and `seed`."""
+    found = rows.of(plan.results / FILE, runs)
+    by_run: dict[tuple[str, ...], list[dict[str, str]]] = {}
+    for row in found:
+        by_run.setdefault(tuple(v for k, v in row.items() if k not in COLUMNS), []).append(row)
+    return [
+        {k: np.array([float(row[k]) for row in of_run]) for k in ("seed", *COLUMNS)}
+        for of_run in by_run.values()
+    ]

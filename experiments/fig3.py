@@ -1,0 +1,139 @@
+"""Figure 3: spread of the ten actions and angle within an episode of Pendulum, from hanging "
+"down."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from envs.pendulum import Pendulum
+from experiments import rows
+from experiments.plan import MAPG, Plan
+from mapg_jax import heads
+from mapg_jax.config import Config
+from mapg_jax.policy import Policy, load_policy
+from mapg_jax.run_folder import RunFolder
+
+STARTS = 100
+START = 5.0  # degrees either side of hanging down, at rest
+BIN = 10  # degrees
+BINS, EPISODE = "fig3_bins.csv", "fig3_episode.csv"
+
+
+def runs(plan: Plan) -> list[Config]:
+    return plan.over_seeds("pendulum", **MAPG)
+
+
+def measure(plan: Plan, folder: RunFolder) -> None:
+    """Mean spread by angle, over the states of all starts; and the first start's episode."""
+    key = rows.identity(folder.config)
+    if rows.holds(plan.results / BINS, key):
+        return
+    angle, spread = play(load_policy(folder.path), folder.config)
+    edges = np.arange(-180, 181, BIN)
+    counts, _ = np.histogram(angle, edges)
+    sums, _ = np.histogram(angle, edges, weights=spread)
+    if folder.config.seed == 0:
+        episode = zip(angle[0], spread[0], strict=True)
+        rows.append(
+            plan.results / EPISODE,
+            [{**key, "step": t, "angle": f"{a:.2f}", "spread": f"{s:.5g}"}
+             for t, (a, s) in enumerate(episode)],
+        )  # fmt: skip
+    rows.append(
+        plan.results / BINS,
+        [
+            {**key, "angle": (low + BIN / 2), "states": int(n), "spread": f"{total / n:.5g}"}
+            for low, n, total in zip(edges[:-1], counts, sums, strict=True)
+            if n
+        ],
+    )
+
+
+def play(policy: Policy, config: Config) -> tuple[np.ndarray, np.ndarray]:
+    """Angle (degrees, 0 hanging down, ±180 upright) and spread, [starts, steps] each."""
+    env, agent, state = Pendulum(), policy.agent, policy.state
+    start_key, head_key = jax.random.split(jax.random.key(config.seed))
+    offset = jax.random.uniform(start_key, (STARTS,), minval=-START, maxval=START)
+
+    def step(env_state, t):
+        proposals = agent.proposals(state, env_state.obs)
+        head = heads.draw(jax.random.fold_in(head_key, t), state.hyper.heads, (STARTS,))
+        cosine, sine, _ = env_state.obs.T
+        angle = jnp.rad2deg(jnp.arctan2(-sine, -cosine))  # the paper's: Gymnasium's less 180°
+        following = jax.vmap(env.step)(env_state, heads.take(proposals, head))
+        return following, (angle, heads.spread(proposals, state.hyper.heads))
+
+    @jax.jit
+    def episodes(offset):
+        first = jax.vmap(functools.partial(env.reset_to, theta_dot=0.0))(
+            jnp.pi + jnp.deg2rad(offset)
+        )
+        return jax.lax.scan(step, first, jnp.arange(config.episode_steps()))[1]
+
+    angle, spread = episodes(offset)
+    return np.asarray(angle).T, np.asarray(spread).T
+
+
+def section(plan: Plan) -> str:
+    """The picture, and what it shows."""
+    bins = rows.of(plan.results / BINS, runs(plan))
+    episode = rows.of(plan.results / EPISODE, runs(plan)[:1])
+    if not bins:
+        return rows.missing(runs(plan))
+    draw(bins, episode).savefig(plan.results / "fig3.png", dpi=120)
+    seeds = {row["seed"] for row in bins}
+    return (
+        "![Spread and angle within an episode](fig3.png)\n\n"
+        f"{STARTS} episodes a seed, started at rest within {START:g}° of hanging down; n = "
+        f"{len(seeds)} seeds. Left: mean spread of the ten actions by angle, a line a seed. Right: "
+        "one episode of seed 0, as the paper shows it. 0° is hanging down, ±180° upright; the "
+        "spread is in units of the range [-1, 1] of actions."
+    )
+
+
+def draw(bins: list[rows.Row], episode: list[rows.Row]):
+    """Spread by angle, all seeds; angle and spread over one episode."""
+    from matplotlib.figure import Figure  # slow to import
+
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for seed in sorted({row["seed"] for row in bins}, key=int):
+        of_seed = [row for row in bins if row["seed"] == seed]
+        angle = [float(row["angle"]) for row in of_seed]
+        left.plot(
+            angle, [float(row["spread"]) for row in of_seed], marker=".", label=f"seed {seed}"
+        )
+    left.set(xlabel="angle, degrees (0 hanging down)", ylabel="spread of the actions")
+    left.set(xticks=range(-180, 181, 60), title="Mean over all states")
+    left.set_ylim(bottom=0)
+    left.legend()
+
+    time = [int(row["step"]) for row in episode]
+    right.plot(time, [float(row["spread"]) for row in episode], color="tab:orange")
+    right.set(xlabel="step", title="One episode, seed 0")
+    right.set_ylabel("spread of the actions", color="tab:orange")
+    right.set_ylim(bottom=0)
+    angles = right.twinx()
+    angles.plot(time, [float(row["angle"]) for row in episode], ".", ms=3, color="tab:blue")
+    angles.set(ylim=(-185, 185), yticks=range(-180, 181, 60))
+    angles.set_ylabel("angle, degrees", color="tab:blue")
+    return figure
+
+
+def spread_by_seed(plan: Plan) -> dict[str, list[float]]:
+    """Of every seed: mean spread at most 30° from hanging, between 30° and 150°, and beyond."""
+    means: dict[str, list[float]] = {"hanging": [], "between": [], "upright": []}
+    bins = rows.of(plan.results / BINS, runs(plan))
+    for seed in sorted({row["seed"] for row in bins}, key=int):
+        of_seed = [row for row in bins if row["seed"] == seed]
+        angle = np.abs([float(row["angle"]) for row in of_seed])
+        states = np.array([float(row["states"]) for row in of_seed])
+        spread = np.array([float(row["spread"]) for row in of_seed])
+        where = {"hanging": angle < 30, "between": (angle > 30) & (angle < 150),
+                 "upright": angle > 150}  # fmt: skip
+        if all(mask.any() for mask in where.values()):
+            for name, mask in where.items():
+                means[name].append(float(np.average(spread[mask], weights=states[mask])))
+    return means

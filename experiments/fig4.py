@@ -1,0 +1,41 @@
+"""Figure 4: DDPG and MAPG during training, with and without exploration noise (C5)."""
+
+from experiments import rows, scores
+from experiments.plan import DDPG, MAPG, NO_NOISE, Plan
+from mapg_jax.config import Config
+
+ENVS = ("pendulum", "halfcheetah")
+ARMS = {
+    "DDPG with noise": DDPG,
+    "DDPG without": {**DDPG, **NO_NOISE},
+    "M = 10 with noise": MAPG,
+    "M = 10 without": {**MAPG, **NO_NOISE},
+}
+
+
+def runs(plan: Plan) -> list[Config]:
+    return [config for env in ENVS for label in ARMS for config in arm(plan, env, label)]
+
+
+def arm(plan: Plan, env: str, label: str) -> list[Config]:
+    """One arm on one task over all seeds."""
+    return plan.over_seeds(env, **ARMS[label])
+
+
+def section(plan: Plan) -> str:
+    """The picture, and the final scores."""
+    if not scores.of(plan, runs(plan)):
+        return rows.missing(runs(plan))
+    tasks = {env: {k: curves.of(plan, arm(plan, env, k)) for k in ARMS} for env in ENVS}
+    tasks = {env: {k: v for k, v in arms.items() if v} for env, arms in tasks.items()}
+    figure = draw_curves({env: arms for env, arms in tasks.items() if arms})
+    figure.savefig(plan.results / "fig4.png", dpi=120)
+    lines = [f"| task | {' | '.join(ARMS)} |", "|---|" + "---|" * len(ARMS)]
+    for env in ENVS:
+        cells = [scores.summary(scores.means(plan, arm(plan, env, label))) for label in ARMS]
+        lines.append(f"| {env} | {' | '.join(cells)} |")
+    return (
+        "![With and without noise](fig4.png)\n\n"
+        f"Evaluations of {plan.base.evaluation_episodes} episodes without noise, mean over seeds. "
+        "Final scores:\n\n"
+    ) + "\n".join(lines)

@@ -1,0 +1,107 @@
+"""The heads: their Q-gap over training, the rules of gradient and target, the choice at test "
+"time."""
+
+import typing
+
+import numpy as np
+
+from experiments import curves, rows, scores
+from experiments.plan import MAPG, RULES, Plan
+from mapg_jax.config import Config
+from mapg_jax.heads import Select
+from mapg_jax.plotting import draw_curves
+from mapg_jax.run_folder import RunFolder
+from mapg_jax.scoring import score
+
+ENVS = ("pendulum", "halfcheetah")
+"""Where the rules are compared."""
+SELECTS = "selects.csv"
+
+
+def runs(plan: Plan) -> list[Config]:
+    return [*rule_runs(plan), *gap_runs(plan)]
+
+
+def rule_runs(plan: Plan) -> list[Config]:
+    """M = 10 under every rule."""
+    return [
+        config
+        for env in ENVS
+        for changes in RULES.values()
+        for config in plan.over_seeds(env, **MAPG, **changes)
+    ]
+
+
+def gap_runs(plan: Plan) -> list[Config]:
+    """M = 10 on every task of Table 2, and on Pendulum."""
+    return [config for env in (*plan.tasks, "pendulum") for config in plan.over_seeds(env, **MAPG)]
+
+
+def measure(plan: Plan, folder: RunFolder) -> None:
+    """Scores the last policy of M = 10 by every way to choose among its proposals."""
+    key = rows.identity(folder.config)
+    if rows.holds(plan.results / SELECTS, key):
+        return
+    new = []
+    for select in typing.get_args(Select):
+        if select != "first":
+            record = score(folder, folder.config.final_episodes, select=select)
+            numbers = {"return_mean": record["mean"], "return_std": record["std"]}
+            new.append({**key, "select": select, **numbers, "episodes": record["episodes"]})
+    rows.append(plan.results / SELECTS, new)
+
+
+def section(plan: Plan) -> str:
+    """The picture and two tables."""
+    found = {
+        env: curves.of(plan, plan.over_seeds(env, **MAPG)) for env in (*plan.tasks, "pendulum")
+    }
+    found = {env: of_env for env, of_env in found.items() if of_env}
+    if not found:
+        return rows.missing(runs(plan))
+    figure = draw_curves({"M = 10": found}, "q_gap_relative", "Q-gap / standard deviation of Q")
+    figure.savefig(plan.results / "heads.png", dpi=120)
+    return "\n\n".join(
+        (
+            "![Q-gap of the heads over training](heads.png)",
+            "Q-gap over the standard deviation of Q (docs/metrics.md), M = 10, mean over seeds. 0 "
+            "would be proposals that the critic values alike.",
+            "Score by the rule of the actor's gradient and of the target, M = 10:",
+            rule_table(plan),
+            "Score of the same policies by the choice at test time, mean over all runs of a cell:",
+            select_table(plan),
+        )
+    )
+
+
+def gap_by_seed(plan: Plan, env: str) -> list[float]:
+    """The relative Q-gap at the last evaluation, one number a seed."""
+    found = curves.of(plan, plan.over_seeds(env, **MAPG))
+    last = [float(curve["q_gap_relative"][-1]) for curve in found]
+    return [x for x in last if np.isfinite(x)]
+
+
+def rule_table(plan: Plan) -> str:
+    """Mean score by rule."""
+    lines = [f"| task | {' | '.join(RULES)} |", "|---|" + "---|" * len(RULES)]
+    for env in ENVS:
+        cells = [
+            scores.summary(scores.means(plan, plan.over_seeds(env, **MAPG, **changes)))
+            for changes in RULES.values()
+        ]
+        lines.append(f"| {env} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def select_table(plan: Plan) -> str:
+    """Mean score of the same policies by the choice among their proposals."""
+    selects = [select for select in typing.get_args(Select) if select != "first"]
+    lines = [f"| task | {' | '.join(selects)} |", "|---|" + "---|" * len(selects)]
+    for env in (*plan.tasks, "pendulum"):
+        found = rows.of(plan.results / SELECTS, plan.over_seeds(env, **MAPG))
+        cells = [
+            scores.summary([float(r["return_mean"]) for r in found if r["select"] == select])
+            for select in selects
+        ]
+        lines.append(f"| {env} | {' | '.join(cells)} |")
+    return "\n".join(lines)

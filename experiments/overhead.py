@@ -1,0 +1,115 @@
+"""Time per training step and per update over M: what the heads cost (C7)."""
+
+import dataclasses
+import os
+import time
+from collections.abc import Callable
+
+import jax
+import numpy as np
+
+from experiments import rows
+from experiments.plan import Plan
+from mapg_jax import statistics
+from mapg_jax.config import Config
+from mapg_jax.training import TrainState, make_trainer
+
+ROUNDS = 9
+SECONDS = 2.0  # of each arm in a round
+TIMES = "overhead.csv"
+
+
+def runs(plan: Plan) -> list[Config]:
+    """None: it times its own."""
+    return []
+
+
+def time_arms(plan: Plan, rounds: int = ROUNDS, seconds: float = SECONDS) -> None:
+    """Times every M on Hopper, interleaved, and replaces what was timed before."""
+    arms = [Arm(plan, m, seconds) for m in (1, *plan.heads)]
+    times = [
+        {"env": "hopper", "heads": arm.config.heads, "round": r, "cores": os.cpu_count(), **arm()}
+        for r in range(rounds)
+        for arm in arms
+    ]
+    (plan.results / TIMES).unlink(missing_ok=True)
+    rows.append(plan.results / TIMES, times)
+
+
+class Arm:
+    """One M: a training state that has begun to learn, and two programs to time."""
+
+    def __init__(self, plan: Plan, m: int, seconds: float):
+        self.config = dataclasses.replace(
+            plan.config("hopper", heads=m), replay_size=min(plan.base.replay_size, 100_000)
+        )
+        self.trainer = make_trainer(self.config)
+        started = self.config.learning_starts // self.config.environments + 1
+        self.state = self.trainer.jitted_run(self.trainer.jitted_init(0), started)
+        self.updates = jax.jit(self._updates, donate_argnums=0)
+        self.turns = self._enough(self.trainer.jitted_run, seconds)
+        self.repeats = self._enough(self.updates, seconds)
+
+    def __call__(self) -> dict[str, str]:
+        """Seconds per environment step, its updates included, and per update alone."""
+        steps = self.turns * self.config.environments
+        updates = self.repeats * self.config.environments * float(self.trainer.updates_ratio)
+        return {
+            "seconds_per_step": f"{self._time(self.trainer.jitted_run, self.turns) / steps:.4g}",
+            "seconds_per_update": f"{self._time(self.updates, self.repeats) / updates:.4g}",
+        }
+
+    def _updates(self, state: TrainState, repeats: jax.Array) -> TrainState:
+        """The updates of that many turns, without their environment steps."""
+
+        def turn(i, state):
+            keys = jax.random.split(jax.random.fold_in(state.key, i))
+            return self.trainer.learn(state, *keys)
+
+        return jax.lax.fori_loop(0, repeats, turn, state)
+
+    def _time(self, program: Callable, repeats: int) -> float:
+        begun = time.perf_counter()
+        self.state = jax.block_until_ready(program(self.state, repeats))
+        return time.perf_counter() - begun
+
+    def _enough(self, program: Callable, seconds: float) -> int:
+        """Repeats that take about that long, once compiled."""
+        self._time(program, 8)
+        return max(8, round(8 * seconds / self._time(program, 8)))
+
+
+def ratios(plan: Plan, column: str) -> dict[int, np.ndarray]:
+    """M → the time over that of M = 1, one number a round."""
+    times = rows.read(plan.results / TIMES)
+    by_heads = {
+        m: np.array([float(row[column]) for row in times if row["heads"] == str(m)])
+        for m in (1, *plan.heads)
+    }
+    return {m: x / by_heads[1] for m, x in by_heads.items() if len(x)}
+
+
+def section(plan: Plan) -> str:
+    """Median times, and their ratios to M = 1."""
+    if not (plan.results / TIMES).exists():
+        return "Missing: nothing has been timed."
+    per_step, per_update = (ratios(plan, c) for c in ("seconds_per_step", "seconds_per_update"))
+    times = rows.read(plan.results / TIMES)
+    lines = [
+        "| M | µs a step | over M = 1 | µs an update | over M = 1 |",
+        "|---|---|---|---|---|",
+    ]
+    for m in per_step:
+        of_m = [row for row in times if row["heads"] == str(m)]
+        cells = []
+        for column, ratio in (("seconds_per_step", per_step), ("seconds_per_update", per_update)):
+            cells.append(f"{1e6 * np.median([float(row[column]) for row in of_m]):.0f}")
+            estimate = statistics.student(ratio[m])
+            cells.append(f"{estimate.value:.2f} ({estimate.low:.2f} to {estimate.high:.2f})")
+        lines.append(f"| {m} | {' | '.join(cells)} |")
+    return "\n".join(lines) + (
+        f"\n\nHopper, {plan.base.environments} environments, MuJoCo's C engine, XLA with one "
+        f"thread, {times[0]['cores']} cores. A step is one environment step with the updates it "
+        f"earns ({plan.base.updates_per_step:g} each); times are medians of {len(per_step[1])} "
+        "interleaved rounds, ratios taken within each round, with Student's 95 % interval."
+    )

@@ -1,0 +1,101 @@
+"""Which runs the experiments need, under which names, and in which order."""
+
+import dataclasses
+import pathlib
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+from mapg_jax.config import PRESETS, Config
+
+TASKS = ("hopper", "walker2d", "humanoid", "halfcheetah", "swimmer")
+HEADS = (5, 10, 20, 50)
+DDPG: Mapping[str, Any] = {"heads": 1}
+MAPG: Mapping[str, Any] = {"heads": 10}
+A3C: Mapping[str, Any] = {"algorithm": "a3c"}
+NO_NOISE: Mapping[str, Any] = {"noise": "none"}
+DRIVING: Mapping[str, Any] = {
+    # Chosen with DDPG alone: docs/driving.md.
+    "env_options": ("control_hz=10", "start=anywhere"),
+    "time_limit": 2_000,
+}
+RULES: Mapping[str, Mapping[str, Any]] = {
+    "stored": {},
+    "resampled": {"gradient": "resampled"},
+    "all": {"gradient": "all"},
+    "sampled target": {"target": "sampled"},
+}
+"""Of the actor's gradient, and of the target; `stored` with the mean is the default."""
+
+
+class Plan(NamedTuple):
+    """What all runs of an invocation share, how many there are, and where they go."""
+
+    base: Config
+    """Preset, steps and cadence of evaluation."""
+    seeds: int
+    runs: pathlib.Path
+    """Run folders; not committed."""
+    results: pathlib.Path
+    """What the runs wrote, as CSV, and what is made of it."""
+    tasks: tuple[str, ...] = TASKS
+    """Of Table 2."""
+    heads: tuple[int, ...] = HEADS
+    """M, beside DDPG's 1."""
+
+    def config(self, env: str, seed: int = 0, **changes) -> Config:
+        """One run."""
+        return dataclasses.replace(self.base, env=env, seed=seed, **changes)
+
+    def arms(self) -> dict[str, Mapping[str, Any]]:
+        """The columns of Table 2, by their names."""
+        return {"DDPG": DDPG, "A3C": A3C, **{f"M = {m}": {"heads": m} for m in self.heads}}
+
+    def over_seeds(self, env: str, **changes) -> list[Config]:
+        """One cell: its runs over all seeds."""
+        return [self.config(env, seed, **changes) for seed in range(self.seeds)]
+
+    def folder(self, config: Config) -> pathlib.Path:
+        """Where a run is trained."""
+        return self.runs / name(config, self.base)
+
+
+def make_plan(
+    preset: str, steps: int | None, seeds: int, runs: pathlib.Path, results: pathlib.Path
+) -> Plan:
+    """The plan of a preset, its steps unless others are given."""
+    base = PRESETS[preset]
+    if steps is not None:
+        base = dataclasses.replace(base, steps=steps)
+    return Plan(
+        dataclasses.replace(base, evaluate_every=max(1, base.steps // 40)), seeds, runs, results
+    )
+
+
+def name(config: Config, base: Config) -> str:
+    """The folder of a run, by what sets it apart: `hopper-ddpg-m1-s0`."""
+    algorithm = "ddpg" if (config.algorithm, config.heads) == ("mapg", 1) else config.algorithm
+    parts = [config.env, algorithm, f"m{config.heads}"]
+    for field in ("noise", "gradient", "target"):
+        if getattr(config, field) != getattr(base, field):
+            parts.append(getattr(config, field))
+    return "-".join([*parts, f"s{config.seed}"])
+
+
+def in_order(plan: Plan, wanted: Iterable[Config]) -> list[Config]:
+    """The runs in the protocol's order, each once; it does not depend on what comes out."""
+
+    def rank(config: Config):
+        first = config.seed == 0
+        core = _is_core(config, plan.base) and (config.noise == plan.base.noise or not first)
+        # Seed 0 of the core, the rest of seed 0, the core seed by seed, the rest seed by seed.
+        stage = (0 if core else 1) if first else (2 if core else 3)
+        slow = config.env == "humanoid"
+        return stage, config.seed, slow, config.env, config.heads
+
+    return sorted(dict.fromkeys(wanted), key=rank)
+
+
+def _is_core(config: Config, base: Config) -> bool:
+    """DDPG and M = 10, of Table 2, driving and Figure 4."""
+    rules = (config.gradient, config.target) == (base.gradient, base.target)
+    return config.algorithm == "mapg" and config.heads in (1, 10) and rules

@@ -1,0 +1,66 @@
+"""What is measured on finished runs, as rows of CSV files beside the scores."""
+
+import csv
+import pathlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from mapg_jax.config import Config
+from mapg_jax.results import Result, settings
+
+Row = Mapping[str, Any]
+COLUMNS = ("env", "algorithm", "heads", "seed", "steps", "settings")
+"""Say which run a row is of."""
+
+
+def identity(config: Config) -> dict[str, str]:
+    """COLUMNS of a run; text, as a CSV file gives it back."""
+    algorithm = "ddpg" if (config.algorithm, config.heads) == ("mapg", 1) else config.algorithm
+    return {
+        "env": config.env,
+        "algorithm": algorithm,
+        "heads": str(config.heads),
+        "seed": str(config.seed),
+        "steps": str(config.steps),
+        "settings": settings(config),
+    }
+
+
+def identity_of(result: Result) -> dict[str, str]:
+    """The same columns of a result."""
+    return {k: str(getattr(result, k)) for k in COLUMNS}
+
+
+def read(path: pathlib.Path) -> list[dict[str, str]]:
+    """The rows of a file; none if there is no file."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def holds(path: pathlib.Path, key: Row) -> bool:
+    """Whether a file has rows of that run."""
+    return any(all(row[k] == v for k, v in key.items()) for row in read(path))
+
+
+def append(path: pathlib.Path, new: Sequence[Row]) -> None:
+    """Adds rows to a file, all or none, with a header if it is new."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".partial")
+    with partial.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(new[0]))
+        writer.writeheader()
+        writer.writerows([*read(path), *new])
+    partial.replace(path)
+
+
+def of(path: pathlib.Path, runs: Sequence[Config]) -> list[dict[str, str]]:
+    """The rows of those runs."""
+    keys = [identity(config) for config in runs]
+    return [row for row in read(path) if {k: row[k] for k in keys[0]} in keys]
+
+
+def missing(runs: Sequence[Config]) -> str:
+    """What a section says that has nothing to show yet."""
+    return f"Missing: none of its {len(set(runs))} runs has finished."

@@ -1,0 +1,65 @@
+"""Table 2: DDPG, A3C and MAPG over M on five tasks, beside the paper's numbers (C1, C2, C9)."""
+
+import pathlib
+
+import numpy as np
+
+from experiments import rows, scores
+from experiments.plan import Plan
+from mapg_jax.config import Config
+from mapg_jax.report import arms_table
+
+PAPER = pathlib.Path(__file__).with_name("paper_table2.csv")
+"""Mean and 3σ over the 100 episodes of one run: the paper's Table 2, which has no M = 5."""
+
+
+def runs(plan: Plan) -> list[Config]:
+    return [
+        config
+        for env in plan.tasks
+        for changes in plan.arms().values()
+        for config in plan.over_seeds(env, **changes)
+    ]
+
+
+def section(plan: Plan) -> str:
+    """Ours beside the paper's; then the same scores with their uncertainty over seeds."""
+    found = scores.of(plan, runs(plan))
+    if not found:
+        return rows.missing(runs(plan))
+    return "\n\n".join(
+        (
+            "Mean ± 3σ over the 100 episodes of a run, as the paper prints it; ours are averages "
+            "of both over n seeds. The paper's tasks are the v1 of 2017, ours Gymnasium's v5; "
+            "Humanoid has 348 dimensions here (the paper's 376 less 28 zeros).",
+            beside_the_paper(plan),
+            "The same scores with their uncertainty over seeds (docs/report.md):",
+            arms_table(found),
+        )
+    )
+
+
+def beside_the_paper(plan: Plan) -> str:
+    """Two lines a task: ours and the paper's."""
+    lines = [f"| task | | {' | '.join(plan.arms())} |", "|---|---|" + "---|" * len(plan.arms())]
+    for env in plan.tasks:
+        ours = [_ours(plan, env, changes) for changes in plan.arms().values()]
+        papers = [_paper(env, label) for label in plan.arms()]
+        lines.append(f"| {env} | here | {' | '.join(ours)} |")
+        lines.append(f"| | the paper | {' | '.join(papers)} |")
+    return "\n".join(lines)
+
+
+def _ours(plan: Plan, env: str, changes) -> str:
+    found = scores.of(plan, plan.over_seeds(env, **changes))
+    if not found:
+        return "missing"
+    mean, std = np.mean([(r.return_mean, r.return_std) for r in found], 0)
+    return f"{mean:.0f} ± {3 * std:.0f} (n = {len(found)})"
+
+
+def _paper(env: str, label: str) -> str:
+    for row in rows.read(PAPER):
+        if (row["env"], row["arm"]) == (env, label):
+            return f"{row['mean']} ± {row['three_sigma']}"
+    return ""

@@ -1,0 +1,31 @@
+"""The end of a run: its curve, its score, and whether its replay stays on disk."""
+
+from typing import Any
+
+from mapg_jax.checkpointing import Checkpoints
+from mapg_jax.plotting import draw_curve
+from mapg_jax.run_folder import RunFolder
+from mapg_jax.scoring import evaluate
+from mapg_jax.tracking import read_metrics
+
+
+def finish(folder: RunFolder, keep_replay: bool = True) -> dict[str, Any]:
+    """Draws the curve and scores the last policy (evaluation seed 0); gives the score.
+
+    Args:
+      folder: of a run that took all its steps.
+      keep_replay: whether `mapg resume --steps` will be able to train it further.
+    """
+    config = folder.config
+    if not keep_replay:
+        Checkpoints(folder.checkpoints).drop_replay()
+    policy = "A3C" if config.algorithm == "a3c" else f"M = {config.heads}"
+    draw_curve(folder.metrics, folder.curve, f"{config.env}, {policy}, seed {config.seed}")
+    return evaluate(folder, config.final_episodes)
+
+
+def is_finished(folder: RunFolder) -> bool:
+    """Whether all steps are taken and the policy is scored."""
+    rows = read_metrics(folder.metrics)
+    whole = bool(rows) and rows[-1]["env_steps"] >= folder.config.steps
+    return whole and folder.evaluation.exists() and folder.curve.exists()

@@ -1,0 +1,153 @@
+"""Runs in lockstep: K runs as one compiled program, M and all other numbers traced under `vmap`.
+
+Actors are padded to the largest M; heads past a run's own are never drawn, averaged or updated. A
+run alone is the plain program, without an axis in front and without padding.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mapg_jax.agent import hyperparameters
+from mapg_jax.config import Config
+from mapg_jax.evaluation import play
+from mapg_jax.loop import Loop, run_keys, state_bytes
+from mapg_jax.training import TrainState, make_trainer, noise_scales
+
+TRACED = frozenset({
+    "seed", "heads", "noise_scale", "noise_scale_last", "discount", "tau", "critic_l2",
+    "actor_learning_rate", "critic_learning_rate", "a3c_actor_learning_rate",
+    "a3c_critic_learning_rate", "a3c_entropy_weight",
+})  # fmt: skip
+"""The fields of a configuration in which runs of one program may differ."""
+
+
+def program_key(config: Config) -> tuple:
+    """All other fields: runs whose keys are equal can go in lockstep."""
+    values = ((f.name, getattr(config, f.name)) for f in dataclasses.fields(config))
+    return tuple(value for name, value in values if name not in TRACED)
+
+
+class Lockstep:
+    """The static part of K runs, and their compiled functions.
+
+    States have leaves [K, ...], or those of a plain run where K = 1.
+    """
+
+    def __init__(self, configs: Sequence[Config]):
+        if len({program_key(config) for config in configs}) != 1:
+            raise ValueError("runs in lockstep may differ in traced numbers alone")
+        self.configs = tuple(configs)
+        self.trainer: Loop = make_trainer(max(configs, key=lambda config: config.heads))
+        self.alone = len(configs) == 1
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the state."""
+        return state_bytes(self.trainer) * len(self.configs)
+
+    def init(self) -> Any:
+        """The state before the first step."""
+        if self.alone:
+            return self.trainer.jitted_init(self.configs[0].seed)
+        state = jax.jit(jax.vmap(self.trainer.init))(self._seeds)
+        hyper = _stack([hyperparameters(config) for config in self.configs])
+        state = state.replace(agent=state.agent.replace(hyper=hyper))
+        if isinstance(state, TrainState):
+            # Compiled as in a plain run, where they are constants of the program: the same bits.
+            scales = [jax.jit(noise_scales, static_argnums=0)(config) for config in self.configs]
+            state = state.replace(noise_scale=jnp.stack(scales))
+        return state
+
+    @functools.cached_property
+    def jitted_run(self):
+        """(state, turns) → state; the state is donated."""
+        if self.alone:
+            return self.trainer.jitted_run
+        return jax.jit(jax.vmap(self.trainer.run, in_axes=(0, None)), donate_argnums=0)
+
+    @functools.cached_property
+    def jitted_evaluation(self):
+        """(agents, keys) → episodes; see `evaluation_keys`."""
+        evaluate = functools.partial(
+            play,
+            self.trainer.env.env,
+            self.trainer.agent,
+            episodes=self.trainer.config.evaluation_episodes,
+            time_limit=self.trainer.env.time_limit,
+            select="uniform",
+        )
+        return jax.jit(evaluate if self.alone else jax.vmap(evaluate))
+
+    def evaluation_keys(self, env_steps: int) -> jax.Array:
+        """Each run's key of an evaluation: it depends on its seed and the step alone."""
+
+        def key(seed):
+            return jax.random.fold_in(run_keys(seed).evaluation, env_steps)
+
+        return key(self.configs[0].seed) if self.alone else jax.vmap(key)(self._seeds)
+
+    def of_run(self, tree: Any, k: int) -> Any:
+        """The k-th run's part of any tree of this program."""
+        return tree if self.alone else jax.tree.map(lambda x: x[k], tree)
+
+    def plain_state(self, state: Any, k: int) -> Any:
+        """The k-th run's state as the run alone has it, without padding."""
+        if self.alone:
+            return state
+
+        def cut(leaf, shape):
+            return _as_dtype(leaf[tuple(map(slice, shape.shape))], shape.dtype)
+
+        return jax.tree.map(cut, self.of_run(state, k), self.plain_shapes(k))
+
+    def plain_shapes(self, k: int) -> Any:
+        """Shapes of the k-th run's state alone."""
+        return self._plain_shapes[self.configs[k].heads]
+
+    def join(self, states: Sequence[Any]) -> Any:
+        """The state of all runs from those of each alone, padded as a fresh one is."""
+        if self.alone:
+            return states[0]
+        # Heads that are padding never change, so a fresh state still has them.
+        fresh = jax.device_get(self.init().agent)
+        padded = []
+        for k, state in enumerate(states):
+            agent = jax.tree.map(_paste, self.of_run(fresh, k), state.agent)
+            shapes = self.trainer.shapes.replace(agent=agent)
+            state = state.replace(agent=agent)
+            padded.append(jax.tree.map(lambda x, y: _as_dtype(x, y.dtype), state, shapes))
+        return _stack(padded)
+
+    @functools.cached_property
+    def _seeds(self) -> jax.Array:
+        return jnp.asarray([config.seed for config in self.configs], jnp.int32)
+
+    @functools.cached_property
+    def _plain_shapes(self) -> dict[int, Any]:
+        """By number of heads."""
+        heads = {config.heads for config in self.configs} - {self.trainer.config.heads}
+        others = {m: dataclasses.replace(self.trainer.config, heads=m) for m in heads}
+        shapes = {m: make_trainer(config).shapes for m, config in others.items()}
+        return {**shapes, self.trainer.config.heads: self.trainer.shapes}
+
+
+def _stack(trees: Sequence[Any]) -> Any:
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
+
+
+def _as_dtype(leaf: jax.Array, dtype: Any) -> jax.Array:
+    """Heads are stored in a byte or not, by the largest M of the program."""
+    return leaf if leaf.dtype == dtype else leaf.astype(dtype)
+
+
+def _paste(padded: np.ndarray, leaf: jax.Array) -> np.ndarray:
+    """The padded array with a smaller one in its first corner."""
+    padded = np.array(padded)
+    padded[tuple(map(slice, leaf.shape))] = leaf
+    return padded

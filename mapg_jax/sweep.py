@@ -1,0 +1,162 @@
+"""A sweep: many runs, a few at a time, each in its own folder; what is finished stays finished."""
+
+import pathlib
+import time
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from mapg_jax.config import Config
+from mapg_jax.finishing import is_finished
+from mapg_jax.grouping import (
+    Group,
+    Grouping,
+    Job,
+    groups,
+    refuse_a_full_disk,
+    workers_that_fit,
+)
+from mapg_jax.run_folder import RunFolder
+from mapg_jax.signals import StoppedError, caught_signals
+from mapg_jax.sweep_table import SweepTable
+from mapg_jax.workers import Worker, own_cores, shares
+
+POLL_SECONDS = 0.5
+
+
+def run_all(
+    runs: Sequence[tuple[Config, pathlib.Path]],
+    *,
+    workers: int | None = None,
+    group: Grouping = "auto",
+    keep_replay: bool = False,
+    on_finished: Callable[[RunFolder], None] | None = None,
+    progress: bool = True,
+) -> list[str]:
+    """Starts what is missing, goes on with what was cut off, skips what is finished, in order.
+
+    Args:
+      runs: configurations and folders.
+      workers: processes side by side; by default as many as cores and memory allow.
+      group: how many runs share a program, see `grouping.Grouping`.
+      keep_replay: whether finished runs can be trained further.
+      on_finished: called with the folder of each run that finishes, in this process.
+      progress: whether to show it on standard error.
+
+    Returns:
+      A line for each run that failed; none of them stops the others.
+
+    Raises:
+      ValueError: before anything is written, if a folder holds another run, or memory or disk
+        do not suffice.
+      StoppedError: on SIGINT or SIGTERM, once all workers have saved their state.
+    """
+    plan = make_plan(runs, workers=workers, group=group, keep_replay=keep_replay)
+    pool = _Pool(plan)
+    with caught_signals() as signals, SweepTable(plan.groups, plan.workers, progress) as table:
+        try:
+            while pool.busy() and not signals:
+                for worker in pool.start():
+                    table.started(worker.folders)
+                for worker in pool.ended():
+                    if worker.crashed() and pool.retry_each(worker):
+                        table.cut(worker.folders)
+                        continue
+                    failures = worker.failures()
+                    for folder in worker.folders:
+                        table.ended(folder, failures.get(folder.path))
+                        if folder.path not in failures and on_finished:
+                            on_finished(folder)
+                table.update()
+                time.sleep(POLL_SECONDS)
+        finally:
+            pool.stop()
+    if signals:
+        raise StoppedError(signals[0], "the same command")
+    return table.failures
+
+
+class Plan(NamedTuple):
+    """What a sweep will do."""
+
+    groups: list[Group]
+    workers: int
+    keep_replay: bool
+
+
+def make_plan(
+    runs: Sequence[tuple[Config, pathlib.Path]],
+    *,
+    workers: int | None = None,
+    group: Grouping = "auto",
+    keep_replay: bool = False,
+) -> Plan:
+    """What is missing, in groups, and how many processes will do it; see `run_all`."""
+    jobs = [job for job in unique_jobs(runs) if not _finished(job)]
+    waiting = groups(jobs, group)
+    count = workers_that_fit(waiting, workers)
+    refuse_a_full_disk(waiting, count, keep_replay)
+    return Plan(waiting, count, keep_replay)
+
+
+class _Pool:
+    """Groups that wait, and the workers that do them."""
+
+    def __init__(self, plan: Plan):
+        self._waiting = list(plan.groups)
+        self._free = shares(own_cores(), plan.workers)
+        self._workers: list[Worker] = []
+        self._keep_replay = plan.keep_replay
+
+    def busy(self) -> bool:
+        return bool(self._waiting or self._workers)
+
+    def start(self) -> list[Worker]:
+        """As many as there are free shares of the cores."""
+        begun = []
+        while self._waiting and self._free:
+            begun.append(Worker(self._waiting.pop(0), self._free.pop(0), self._keep_replay))
+        self._workers += begun
+        return begun
+
+    def ended(self) -> list[Worker]:
+        """Those that have ended since; their shares are free."""
+        ended = [worker for worker in self._workers if not worker.running()]
+        for worker in ended:
+            worker.wait()
+            self._workers.remove(worker)
+            self._free.append(list(worker.cores))
+        return ended
+
+    def retry_each(self, worker: Worker) -> bool:
+        """Cuts a group that crashed into its runs, one of which may be at fault; False of one."""
+        if len(worker.group) == 1:
+            return False
+        self._waiting[:0] = [(job,) for job in worker.group if not _finished(job)]
+        return True
+
+    def stop(self) -> None:
+        """All workers save and end."""
+        for worker in self._workers:
+            worker.stop()
+        for worker in self._workers:
+            worker.wait()
+
+
+def unique_jobs(runs: Sequence[tuple[Config, pathlib.Path]]) -> list[Job]:
+    """The runs, each folder once.
+
+    Raises:
+      ValueError: if one folder is meant for two runs, or holds another run.
+    """
+    jobs: dict[pathlib.Path, Job] = {}
+    for config, path in runs:
+        job = jobs.setdefault(pathlib.Path(path), Job(config, pathlib.Path(path)))
+        if job.config != config:
+            raise ValueError(f"two runs are to be written into {path}")
+        if job.path.exists() and RunFolder.open(path).config != config:
+            raise ValueError(f"{path} holds a run of another configuration")
+    return list(jobs.values())
+
+
+def _finished(job: Job) -> bool:
+    return job.path.exists() and is_finished(RunFolder.open(job.path))

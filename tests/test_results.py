@@ -1,0 +1,230 @@
+"""Finished runs as records, told apart where they may not be averaged."""
+
+import dataclasses
+import json
+import math
+import shutil
+
+import numpy as np
+import oracles
+import pytest
+
+import mapg_jax
+from mapg_jax.config import Config
+from mapg_jax.results import (
+    Result,
+    UnfinishedError,
+    append_csv,
+    compared_settings,
+    find_runs,
+    merge,
+    read_csv,
+    read_curve,
+    read_run,
+    separate,
+    settings,
+)
+from mapg_jax.run_folder import RunFolder
+
+RESULT = oracles.result()
+
+
+def test_a_run_is_read_as_it_was_written(tmp_path):
+    config = Config(env="hopper", heads=1, seed=7, steps=1000, noise="none")
+    folder = oracles.finished_run(config, tmp_path / "run", [1.0, 2.0, 6.0])
+    record = json.loads((folder.path / "config.json").read_text())
+    result = read_run(folder)
+    assert result[:8] == ("hopper", "ddpg", 1, 7, 1008, 3.0, math.sqrt(7), 3)
+    assert result.settings == "noise=none"
+    assert (result.select, result.physics, result.seconds) == ("uniform", "native", 12.5)
+    packages = record["history"][0]["packages"]
+    assert result.versions == f"gymnasium {packages['gymnasium']}, mujoco {packages['mujoco']}"
+    assert (result.date, result.command) == tuple(
+        record["history"][0][name] for name in ("date", "command")
+    )
+    assert (result.distance_mean, result.laps_mean, result.lap_share) == (None, None, None)
+
+
+def test_a_run_that_was_trained_and_scored_is_read(finished_run, tmp_path):
+    with pytest.raises(UnfinishedError, match=r"it has no evaluation\.json"):
+        read_run(finished_run)
+    path = shutil.copytree(finished_run.path, tmp_path / "run")
+    score = mapg_jax.evaluate(path, episodes=3, select="mean")
+    result = read_run(path)
+    assert result.return_mean == score["mean"]
+    assert result.return_std == score["std"]
+    assert result[:5] == ("pendulum", "mapg", 3, oracles.RUN.seed, 800)
+    assert (result.episodes, result.select, result.physics) == (3, "mean", "jax")
+    assert result.seconds > 0
+
+
+def test_driving_has_distance_and_laps(tmp_path):
+    metrics = {"distance": [100.0, 300.0, 500.0, 700.0], "laps": [0.0, 1.0, 0.5, 2.0]}
+    config = Config(env="driving", steps=1000)
+    folder = oracles.finished_run(config, tmp_path / "run", [1.0] * 4, metrics=metrics)
+    result = read_run(folder)
+    assert (result.distance_mean, result.laps_mean, result.lap_share) == (400.0, 0.875, 0.5)
+
+
+def test_runs_of_earlier_versions_are_read(tmp_path):
+    """Fields that came later have the default; a run without dates has its evaluation's."""
+    config = Config(env="hopper", steps=1000, noise="none")
+    folder = oracles.finished_run(config, tmp_path / "run", [1.0, 2.0])
+    file = folder.path / "config.json"
+    record = json.loads(file.read_text())
+    del record["config"]["truncation"], record["config"]["checkpoints_kept"]
+    del record["history"][0]["date"]
+    file.write_text(json.dumps(record))
+    result = read_run(folder.path)
+    assert RunFolder.open(folder.path).config == config
+    assert result.settings == "noise=none"
+    assert len(result.date.split("-")) == 3
+
+
+def test_settings_are_what_differs_from_the_paper():
+    assert settings(Config(env="hopper", heads=3, seed=9, steps=5)) == ""
+    assert settings(Config(evaluate_every=7, checkpoints_kept=1, final_episodes=3)) == ""
+    options = ("track=a b", "control_hz=10")
+    config = Config(hidden=(64, 32), env_options=options, noise="none", max_gradient_norm=0.5)
+    text = "'env_options=control_hz=10,track=a b' hidden=64,32 max_gradient_norm=0.5 noise=none"
+    assert settings(config) == text
+    assert settings(dataclasses.replace(config, env_options=options[::-1])) == text
+
+
+def test_unfinished_runs_are_told_from_damaged_ones(tmp_path):
+    config = Config(env="hopper", steps=1000)
+    folder = RunFolder.create(tmp_path / "fresh", config)
+    with pytest.raises(UnfinishedError, match=r"it has no evaluation\.json"):
+        read_run(folder)
+    folder = oracles.finished_run(config, tmp_path / "run", [1.0, 2.0])
+    longer = dataclasses.replace(config, steps=3000)
+    with pytest.raises(UnfinishedError, match="1,008 of 3,000 steps"):
+        read_run(RunFolder(folder.path, longer))
+
+
+DAMAGE = [
+    ("evaluation.json", "{", "evaluation.json is damaged"),
+    ("evaluation.json", "[]", "evaluation.json is damaged"),
+    ("evaluation.json", '{"mean": 1}', "evaluation.json is damaged: it lacks 'std'"),
+    ("evaluation.json", '{"mean": NaN}', "evaluation.json is damaged: nan is not finite"),
+    ("metrics.csv", "", "metrics.csv is damaged: it has no rows"),
+    ("metrics.csv", "env_steps,seconds\n1008\n", "metrics.csv is damaged"),
+    ("metrics.csv", "env_steps,seconds\n1008,x\n", "metrics.csv is damaged"),
+    ("config.json", "[]", "config.json is damaged"),
+    ("config.json", '{"config": {}}', "config.json is damaged: it lacks 'history'"),
+    ("config.json", '{"config": {}, "history": []}', "config.json is damaged"),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "message"), DAMAGE)
+def test_damaged_files_are_named(name, text, message, tmp_path):
+    folder = oracles.finished_run(Config(env="hopper", steps=1000), tmp_path / "run", [1.0, 2.0])
+    (folder.path / name).write_text(text)
+    with pytest.raises(ValueError, match=message) as error:
+        read_run(folder)
+    assert not isinstance(error.value, UnfinishedError)
+
+
+def test_runs_are_found_at_any_depth(tmp_path):
+    config = Config(env="hopper", steps=1000)
+    names = ("a", "b/c", "b/d/e")
+    for name in names:
+        RunFolder.create(tmp_path / name, config)
+    (tmp_path / "empty").mkdir()
+    assert [run.path for run in find_runs(tmp_path)] == [tmp_path / name for name in names]
+    assert [run.path for run in find_runs(tmp_path / "a")] == [tmp_path / "a"]
+    for path, message in (("nowhere", "there is no"), ("empty", "there are no runs in")):
+        with pytest.raises(ValueError, match=message):
+            find_runs(tmp_path / path)
+
+
+def test_a_csv_reads_back_equal(tmp_path):
+    path = tmp_path / "new" / "results.csv"
+    results = [
+        RESULT._replace(return_mean=0.1 + 0.2, command='a "b", c\nd'),
+        RESULT._replace(seed=1, settings="'env_options=track=a b'", distance_mean=1 / 3),
+    ]
+    append_csv(path, results[:1])
+    append_csv(path, results)
+    assert read_csv(path) == results
+    assert path.read_text().splitlines()[0] == ",".join(Result._fields)
+    assert read_csv(tmp_path / "none.csv") == []
+
+
+def test_a_row_with_another_score_is_refused_whole(tmp_path):
+    path = tmp_path / "results.csv"
+    append_csv(path, [RESULT])
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match="two runs of hopper, mapg, M = 10, seed 0, 1,000 steps"):
+        append_csv(path, [RESULT._replace(seed=1), RESULT._replace(return_mean=8.0)])
+    assert path.read_bytes() == before
+    append_csv(path, [RESULT._replace(seconds=1.0, date="2030-01-01")])  # the same run again
+    assert path.read_bytes() == before
+
+
+BAD_ROWS = [
+    ("a,b\n1,2\n", "is no CSV of results: its columns are a,b"),
+    ("", "is no CSV of results"),
+    (",".join(Result._fields) + "\nhopper,mapg\n", "row 2 has 2 cells, not 18"),
+    (
+        ",".join(Result._fields) + "\n" + ",".join(["1"] * 4 + ["many"] + ["1"] * 13),
+        "row 2: steps is no number: 'many'",
+    ),
+    (
+        ",".join(Result._fields) + "\n" + ",".join(["1"] * 5 + ["nan"] + ["1"] * 12),
+        "row 2: return_mean is no number: 'nan'",
+    ),
+    ('"a', "is no CSV"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), BAD_ROWS)
+def test_a_bad_csv_is_refused(text, message, tmp_path):
+    path = tmp_path / "results.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message):
+        read_csv(path)
+
+
+def test_mixed_protocols_are_apart_and_arms_of_one_together():
+    arms = [
+        RESULT,
+        RESULT._replace(algorithm="ddpg", heads=1),
+        RESULT._replace(settings="gradient=all noise=none target=sampled"),
+        RESULT._replace(env="walker2d", seed=3),
+    ]
+    others = [
+        RESULT._replace(steps=2000),
+        RESULT._replace(settings="batch_size=8 noise=none"),
+        RESULT._replace(select="mean"),
+        RESULT._replace(physics="mjx"),
+        RESULT._replace(episodes=10),
+        RESULT._replace(versions="gymnasium 2.0"),
+    ]
+    assert list(separate(arms + others).values()) == [arms, *([other] for other in others)]
+    assert compared_settings(others[1]) == "noise=none"
+
+
+def test_a_run_found_twice_counts_once():
+    again = RESULT._replace(date="2030-01-01")
+    assert merge([RESULT, again]) == [RESULT]
+    assert len(merge([RESULT, RESULT._replace(settings="noise=none", return_mean=1.0)])) == 2
+
+
+@pytest.mark.parametrize("rows", [1, 2, 40, 41, 79, 80, 81, 100])
+def test_thinned_curves_end_with_the_run(rows, tmp_path):
+    folder = RunFolder.create(tmp_path / "run", Config(steps=100 * rows))
+    lines = [f"{100 * i},{i / 7!r},nan" for i in range(1, rows + 1)]
+    folder.metrics.write_text("\n".join(["env_steps,return_mean,spread", *lines, ""]))
+    with pytest.raises(ValueError, match="no rows"):
+        read_curve(folder)  # without the column that every run has
+    lines = [line + ",1.0" for line in lines]
+    folder.metrics.write_text("\n".join(["env_steps,return_mean,spread,seconds", *lines, ""]))
+    curve = read_curve(folder)
+    steps = curve["env_steps"]
+    assert len(steps) <= 40
+    assert steps[-1] == 100 * rows
+    assert len(steps) == rows or len(set(np.diff(steps))) <= 1
+    np.testing.assert_array_equal(curve["return_mean"], steps / 100 / 7)
+    assert np.isnan(curve["spread"]).all()
+    assert np.isnan(curve["q_gap_relative"]).all()
