@@ -81,7 +81,7 @@ class Config:
     noise_scale_last: float | None = None
     """σ in the last environment; those between take even steps. By default all have one σ."""
 
-    a3c_rollout_steps: int = 20
+    a3c_rollout_steps: int = 10
     """A3C: n, steps of every environment between updates; N · n make a batch."""
     a3c_actor_learning_rate: float = 1e-4
     """A3C: of Adam, for the actor."""

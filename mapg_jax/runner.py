@@ -35,7 +35,7 @@ def prepare(*configs: Config) -> Lockstep:
     if needed > available:
         together = f"{len(configs)} runs in lockstep need" if len(configs) > 1 else "the run needs"
         what, remedy = "", "fewer --environments"
-        if configs[0].algorithm == "mapg":
+        if program.trainer.config.algorithm == "mapg":
             what = f", of which the replay of {replay_size:,} transitions is the most,"
             remedy = "a smaller --replay-size"
         raise ValueError(
