@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import json
 
 import jax
 import jax.numpy as jnp
@@ -18,9 +17,9 @@ from mapg_jax.a3c import Rollout, UpdateMetrics
 from mapg_jax.config import Config
 from mapg_jax.descent import adam
 from mapg_jax.evaluation import play
+from mapg_jax.member import DivergedError
 from mapg_jax.networks import VARIANCE_FLOOR
-from mapg_jax.run_folder import RunFolder
-from mapg_jax.runner import DivergedError, resume
+from mapg_jax.runner import resume
 from mapg_jax.tracking import read_metrics
 from mapg_jax.training import make_trainer
 
@@ -321,17 +320,3 @@ def test_the_saved_policy_samples_or_takes_the_mean(finished):
 def test_choices_among_heads_are_refused(finished, select):
     with pytest.raises(ValueError, match=f"select must be one of uniform, mean, got '{select}'"):
         load_policy(finished.path, select=select)
-
-
-def test_a_folder_of_mapg_need_not_name_the_numbers_of_a3c(finished, finished_run, tmp_path):
-    for run, readable in ((finished_run, True), (finished, False)):
-        record = json.loads((run.path / "config.json").read_text())
-        lean = {k: v for k, v in record["config"].items() if not k.startswith("a3c_")}
-        if readable:
-            del lean["algorithm"]
-        (tmp_path / "config.json").write_text(json.dumps({"config": lean}))
-        if readable:
-            assert RunFolder.open(tmp_path).config == run.config
-        else:
-            with pytest.raises(ValueError, match="missing: a3c_actor_learning_rate"):
-                RunFolder.open(tmp_path)
