@@ -84,9 +84,10 @@ class Evaluate:
     physics: Physics = "auto"
     """What to run on: the run's own engine, a named one, or Gymnasium's official environment."""
     select: heads.Select = "uniform"
-    """How one action is made of the M proposals."""
+    """How one action is made of the M proposals; for A3C, uniform samples its Gaussian, mean takes
+    its mean."""
     seed: int = 0
-    """Of starts and heads."""
+    """Of starts and actions."""
     json: bool = False
     """Print one JSON object instead of a table."""
 

@@ -22,7 +22,7 @@ PANEL = (4.3, 3.2)  # inches
 
 
 def draw_curve(metrics: pathlib.Path, path: pathlib.Path, title: str) -> None:
-    """Return and spread of the actions over environment steps, as a PNG."""
+    """Return and spread of the actions (of A3C its σ) over environment steps, as a PNG."""
     from matplotlib.figure import Figure
 
     rows = read_metrics(metrics)
@@ -36,8 +36,11 @@ def draw_curve(metrics: pathlib.Path, path: pathlib.Path, title: str) -> None:
     upper.fill_between(steps, low, high, alpha=0.2, color="tab:blue", linewidth=0)
     episodes = int(rows[0]["episodes"])
     upper.set(title=title, ylabel=f"return\nmean ± std of {episodes} episodes")
-    lower.plot(steps, [row["spread"] for row in rows], marker=".", color="tab:orange")
-    lower.set(xlabel="environment steps", ylabel="spread of\nthe actions")
+    column, label = "spread", "spread of\nthe actions"
+    if "action_std" in rows[0]:
+        column, label = "action_std", "σ of\nthe actions"
+    lower.plot(steps, [row[column] for row in rows], marker=".", color="tab:orange")
+    lower.set(xlabel="environment steps", ylabel=label)
     lower.set_ylim(bottom=0)
     figure.savefig(path, dpi=120)
 

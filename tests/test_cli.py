@@ -159,6 +159,23 @@ def test_train_then_resume_then_evaluate(mapg, tmp_path):
     assert f"{record['mean']:.1f}" in out
 
 
+def test_a3c_trains_resumes_and_is_scored(mapg, tmp_path):
+    status, out, err = mapg("train", "--preset", "smoke", "--algorithm", "a3c")
+    assert status == 0, err
+    assert "run folder:     runs/pendulum-a3c-1" in out
+    status, _, err = mapg("resume", "runs/pendulum-a3c-1", "--steps", 3_000)
+    assert status == 0, err
+    status, out, _ = mapg("evaluate", "runs/pendulum-a3c-1", "--select", "mean", "--json")
+    assert status == 0
+    record = json.loads(out)
+    assert (record["select"], record["spread"], record["q_gap"]) == ("mean", 0, 0)
+    before = contents(tmp_path)
+    status, out, err = mapg("evaluate", "runs/pendulum-a3c-1", "--select", "argmax-q")
+    assert (status, out) == (2, "")
+    assert err == "mapg: select must be one of uniform, mean, got 'argmax-q'\n"
+    assert contents(tmp_path) == before
+
+
 def test_a_diverging_run_exits_1(mapg, tmp_path):
     status, out, err = mapg(
         "train", *TINY.split(), "--critic-learning-rate", "1e30", "--out", "run"
