@@ -6,8 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from experiments import rows
-from experiments.plan import HEADS, Plan
+from experiments.plan import Plan
 from mapg_jax.config import Config
+from mapg_jax.plotting import draw_boxes
 from mapg_jax.run_folder import RunFolder
 
 FILE = "episodes.csv"
@@ -15,7 +16,10 @@ FILE = "episodes.csv"
 
 def runs(plan: Plan, envs: Sequence[str]) -> list[Config]:
     """Every M on those tasks."""
-    return [config for env in envs for m in (1, *HEADS) for config in plan.over_seeds(env, heads=m)]
+    envs = [env for env in envs if env in plan.tasks]
+    return [
+        config for env in envs for m in (1, *plan.heads) for config in plan.over_seeds(env, heads=m)
+    ]
 
 
 def measure(plan: Plan, folder: RunFolder) -> None:
@@ -32,7 +36,8 @@ def section(plan: Plan, envs: Sequence[str], picture: str) -> str:
     found = rows.of(plan.results / FILE, runs(plan, envs))
     if not found:
         return rows.missing(runs(plan, envs))
-    draw(found, envs).savefig(plan.results / picture, dpi=120)
+    figure = draw_boxes(by_task(plan, found, envs), "return of an episode")
+    figure.savefig(plan.results / picture, dpi=120)
     return (
         f"![Score over M]({picture})\n\n"
         "A box a value of M: quartiles and median of the returns of all episodes of all seeds, "
@@ -41,27 +46,15 @@ def section(plan: Plan, envs: Sequence[str], picture: str) -> str:
     )
 
 
-def draw(found: list[dict[str, str]], envs: Sequence[str]):
-    """One panel a task."""
-    from matplotlib.figure import Figure  # slow to import
+def by_task(plan: Plan, found: Sequence[rows.Row], envs: Sequence[str]):
+    """Task → M → the returns of every seed's episodes."""
 
-    figure = Figure(figsize=(4 * len(envs), 4), layout="constrained")
-    panels = figure.subplots(1, len(envs), squeeze=False)[0]
-    for axes, env in zip(panels, envs, strict=True):
-        heads = (1, *HEADS)
-        for place, m in enumerate(heads):
-            episodes = [
-                np.array(row["returns"].split(), float)
-                for row in found
-                if row["env"] == env and row["heads"] == str(m)
-            ]
-            if episodes:
-                axes.boxplot(
-                    np.concatenate(episodes), positions=[place], widths=0.6, showfliers=False
-                )
-                means = [returns.mean() for returns in episodes]
-                axes.plot([place] * len(means), means, "o", color="tab:blue", alpha=0.7)
-        axes.set(title=env, xlabel="M", xlim=(-0.6, len(heads) - 0.4))
-        axes.set_xticks(range(len(heads)), [str(m) for m in heads])
-    panels[0].set(ylabel="return of an episode")
-    return figure
+    def returns(env, m):
+        of_m = [row for row in found if (row["env"], row["heads"]) == (env, str(m))]
+        return [np.array(row["returns"].split(), float) for row in of_m]
+
+    return {
+        env: {str(m): returns(env, m) for m in (1, *plan.heads)}
+        for env in envs
+        if env in plan.tasks
+    }

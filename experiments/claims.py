@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments import fig2, fig3, fig4, heads, overhead, scores, table2, torcs
-from experiments.plan import A3C, DDPG, HEADS, MAPG, NO_NOISE, TASKS, Plan
+from experiments.plan import A3C, DDPG, MAPG, NO_NOISE, Plan
 from mapg_jax import statistics
 from mapg_jax.config import Config
 
@@ -69,7 +69,7 @@ def pairwise(
 
 def c1(plan: Plan) -> Verdict:
     text = "M = 10 beats DDPG on every task"
-    return pairwise(plan, "C1", text, TASKS, MAPG, DDPG)
+    return pairwise(plan, "C1", text, plan.tasks, MAPG, DDPG)
 
 
 def c2a(plan: Plan) -> Verdict:
@@ -77,7 +77,7 @@ def c2a(plan: Plan) -> Verdict:
     envs = ("hopper", "walker2d")
     sides, wide_sides, evidence = [], [], []
     for env in envs:
-        groups = {m: scores.means(plan, plan.over_seeds(env, heads=m)) for m in (1, *HEADS)}
+        groups = {m: scores.means(plan, plan.over_seeds(env, heads=m)) for m in (1, *plan.heads)}
         seeds = min(map(len, groups.values()))
         groups = {m: of_m for m, of_m in groups.items() if len(of_m)}
         counts = ", ".join(f"M = {m}: {len(x)}" for m, x in groups.items())
@@ -95,7 +95,7 @@ def c2a(plan: Plan) -> Verdict:
 
 
 def c2b(plan: Plan) -> Verdict:
-    envs = [env for env in TASKS if env != "humanoid"]
+    envs = [env for env in plan.tasks if env != "humanoid"]
     text = "M = 5 beats DDPG on all but Humanoid"
     return pairwise(plan, "C2b", text, envs, {"heads": 5}, DDPG)
 
@@ -183,9 +183,9 @@ def c7(plan: Plan) -> Verdict:
 
 def c8(plan: Plan) -> Verdict:
     sides, wide_sides, evidence = [], [], []
-    for env in TASKS:
+    for env in plan.tasks:
         gaps = heads.gap_by_seed(plan, env)
-        for level, into in ((0.95, sides), (1 - 0.05 / len(TASKS), wide_sides)):
+        for level, into in ((0.95, sides), (1 - 0.05 / len(plan.tasks), wide_sides)):
             estimate = _student(gaps, level)
             into.append(statistics.verdict(estimate, 0.1, len(gaps), level=level))
         evidence.append(f"{env} {_interval(estimate)}, n = {len(gaps)}")
@@ -196,7 +196,7 @@ def c8(plan: Plan) -> Verdict:
 
 def c9(plan: Plan) -> Verdict:
     text = "A3C does worse than DDPG on every task"
-    return pairwise(plan, "C9", text, TASKS, A3C, DDPG, claimed="below")
+    return pairwise(plan, "C9", text, plan.tasks, A3C, DDPG, claimed="below")
 
 
 def c10(_: Plan) -> Verdict:

@@ -14,25 +14,25 @@ ARMS = {
 
 
 def runs(plan: Plan) -> list[Config]:
-    return [
-        config
-        for env in ENVS
-        for changes in ARMS.values()
-        for config in plan.over_seeds(env, **changes)
-    ]
+    return [config for env in ENVS for label in ARMS for config in arm(plan, env, label)]
+
+
+def arm(plan: Plan, env: str, label: str) -> list[Config]:
+    """One arm on one task over all seeds."""
+    return plan.over_seeds(env, **ARMS[label])
 
 
 def section(plan: Plan) -> str:
     """The picture, and the final scores."""
     if not scores.of(plan, runs(plan)):
         return rows.missing(runs(plan))
-    draw(plan).savefig(plan.results / "fig4.png", dpi=120)
+    tasks = {env: {k: curves.of(plan, arm(plan, env, k)) for k in ARMS} for env in ENVS}
+    tasks = {env: {k: v for k, v in arms.items() if v} for env, arms in tasks.items()}
+    figure = draw_curves({env: arms for env, arms in tasks.items() if arms})
+    figure.savefig(plan.results / "fig4.png", dpi=120)
     lines = [f"| task | {' | '.join(ARMS)} |", "|---|" + "---|" * len(ARMS)]
     for env in ENVS:
-        cells = [
-            scores.summary(scores.means(plan, plan.over_seeds(env, **changes)))
-            for changes in ARMS.values()
-        ]
+        cells = [scores.summary(scores.means(plan, arm(plan, env, label))) for label in ARMS]
         lines.append(f"| {env} | {' | '.join(cells)} |")
     return (
         "![With and without noise](fig4.png)\n\n"

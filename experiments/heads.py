@@ -6,9 +6,10 @@ import typing
 import numpy as np
 
 from experiments import curves, rows, scores
-from experiments.plan import MAPG, RULES, TASKS, Plan
+from experiments.plan import MAPG, RULES, Plan
 from mapg_jax.config import Config
 from mapg_jax.heads import Select
+from mapg_jax.plotting import draw_curves
 from mapg_jax.run_folder import RunFolder
 from mapg_jax.scoring import score
 
@@ -33,7 +34,7 @@ def rule_runs(plan: Plan) -> list[Config]:
 
 def gap_runs(plan: Plan) -> list[Config]:
     """M = 10 on every task of Table 2, and on Pendulum."""
-    return [config for env in (*TASKS, "pendulum") for config in plan.over_seeds(env, **MAPG)]
+    return [config for env in (*plan.tasks, "pendulum") for config in plan.over_seeds(env, **MAPG)]
 
 
 def measure(plan: Plan, folder: RunFolder) -> None:
@@ -52,11 +53,14 @@ def measure(plan: Plan, folder: RunFolder) -> None:
 
 def section(plan: Plan) -> str:
     """The picture and two tables."""
-    found = {env: curves.of(plan, plan.over_seeds(env, **MAPG)) for env in (*TASKS, "pendulum")}
+    found = {
+        env: curves.of(plan, plan.over_seeds(env, **MAPG)) for env in (*plan.tasks, "pendulum")
+    }
     found = {env: of_env for env, of_env in found.items() if of_env}
     if not found:
         return rows.missing(runs(plan))
-    draw(found).savefig(plan.results / "heads.png", dpi=120)
+    figure = draw_curves({"M = 10": found}, "q_gap_relative", "Q-gap / standard deviation of Q")
+    figure.savefig(plan.results / "heads.png", dpi=120)
     return "\n\n".join(
         (
             "![Q-gap of the heads over training](heads.png)",
@@ -68,21 +72,6 @@ def section(plan: Plan) -> str:
             select_table(plan),
         )
     )
-
-
-def draw(found: dict[str, list[dict[str, np.ndarray]]]):
-    """Relative Q-gap over environment steps, a line a task."""
-    from matplotlib.figure import Figure  # slow to import
-
-    figure = Figure(figsize=(7, 4), layout="constrained")
-    axes = figure.subplots()
-    for env, of_env in found.items():
-        gap = np.mean([curve["q_gap_relative"] for curve in of_env], 0)
-        axes.plot(of_env[0]["env_steps"], gap, label=f"{env} (n = {len(of_env)})")
-    axes.set(xlabel="environment steps", ylabel="Q-gap / standard deviation of Q")
-    axes.set_ylim(bottom=0)
-    axes.legend()
-    return figure
 
 
 def gap_by_seed(plan: Plan, env: str) -> list[float]:
@@ -108,7 +97,7 @@ def select_table(plan: Plan) -> str:
     """Mean score of the same policies by the choice among their proposals."""
     selects = [select for select in typing.get_args(Select) if select != "first"]
     lines = [f"| task | {' | '.join(selects)} |", "|---|" + "---|" * len(selects)]
-    for env in (*TASKS, "pendulum"):
+    for env in (*plan.tasks, "pendulum"):
         found = rows.of(plan.results / SELECTS, plan.over_seeds(env, **MAPG))
         cells = [
             scores.summary([float(r["return_mean"]) for r in found if r["select"] == select])

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from experiments import rows
-from experiments.plan import HEADS, Plan
+from experiments.plan import Plan
 from mapg_jax import statistics
 from mapg_jax.config import Config
 from mapg_jax.training import TrainState, make_trainer
@@ -26,7 +26,7 @@ def runs(plan: Plan) -> list[Config]:
 
 def time_arms(plan: Plan, rounds: int = ROUNDS, seconds: float = SECONDS) -> None:
     """Times every M on Hopper, interleaved, and replaces what was timed before."""
-    arms = [Arm(plan, m, seconds) for m in (1, *HEADS)]
+    arms = [Arm(plan, m, seconds) for m in (1, *plan.heads)]
     times = [
         {"env": "hopper", "heads": arm.config.heads, "round": r, "cores": os.cpu_count(), **arm()}
         for r in range(rounds)
@@ -84,7 +84,7 @@ def ratios(plan: Plan, column: str) -> dict[int, np.ndarray]:
     times = rows.read(plan.results / TIMES)
     by_heads = {
         m: np.array([float(row[column]) for row in times if row["heads"] == str(m)])
-        for m in (1, *HEADS)
+        for m in (1, *plan.heads)
     }
     return {m: x / by_heads[1] for m, x in by_heads.items() if len(x)}
 

@@ -35,8 +35,8 @@ HEAD = """# Results
 
 Every number and picture here was written by a command; how runs are made and claims judged was
 fixed beforehand, in [experiments/protocol.md](../experiments/protocol.md). What is not there yet is
-shown as missing. Scores of all
-runs: [scores.csv](scores.csv); learning curves: [curves.csv](curves.csv)."""
+shown as missing. Scores of all runs:
+[scores.csv](scores.csv); learning curves: [curves.csv](curves.csv)."""
 
 
 def make(
@@ -103,11 +103,12 @@ def train(plan: Plan, names: Sequence[Name], workers: int | None) -> list[str]:
 
 def measure(plan: Plan, folder: RunFolder) -> None:
     """Adds all that is measured on a finished run, and is not there yet, to the results."""
+    key = rows.identity(folder.config)
     scores.measure(plan, folder)
     curves.measure(plan, folder)
     for name in TITLES:
         module = experiment(name)
-        if hasattr(module, "measure") and folder.config in module.runs(plan):
+        if hasattr(module, "measure") and key in map(rows.identity, module.runs(plan)):
             module.measure(plan, folder)
 
 

@@ -8,9 +8,7 @@ from typing import Any, NamedTuple
 from mapg_jax.config import PRESETS, Config
 
 TASKS = ("hopper", "walker2d", "humanoid", "halfcheetah", "swimmer")
-"""Of Table 2."""
 HEADS = (5, 10, 20, 50)
-"""M, beside DDPG's 1."""
 DDPG: Mapping[str, Any] = {"heads": 1}
 MAPG: Mapping[str, Any] = {"heads": 10}
 A3C: Mapping[str, Any] = {"algorithm": "a3c"}
@@ -30,7 +28,7 @@ RULES: Mapping[str, Mapping[str, Any]] = {
 
 
 class Plan(NamedTuple):
-    """What all runs of an invocation share, and where they go."""
+    """What all runs of an invocation share, how many there are, and where they go."""
 
     base: Config
     """Preset, steps and cadence of evaluation."""
@@ -39,10 +37,18 @@ class Plan(NamedTuple):
     """Run folders; not committed."""
     results: pathlib.Path
     """What the runs wrote, as CSV, and what is made of it."""
+    tasks: tuple[str, ...] = TASKS
+    """Of Table 2."""
+    heads: tuple[int, ...] = HEADS
+    """M, beside DDPG's 1."""
 
     def config(self, env: str, seed: int = 0, **changes) -> Config:
         """One run."""
         return dataclasses.replace(self.base, env=env, seed=seed, **changes)
+
+    def arms(self) -> dict[str, Mapping[str, Any]]:
+        """The columns of Table 2, by their names."""
+        return {"DDPG": DDPG, "A3C": A3C, **{f"M = {m}": {"heads": m} for m in self.heads}}
 
     def over_seeds(self, env: str, **changes) -> list[Config]:
         """One cell: its runs over all seeds."""
@@ -80,10 +86,10 @@ def in_order(plan: Plan, wanted: Iterable[Config]) -> list[Config]:
 
     def rank(config: Config):
         first = config.seed == 0
-        core = _is_core(config, plan.base)
+        core = _is_core(config, plan.base) and (config.noise == plan.base.noise or not first)
         # Seed 0 of the core, the rest of seed 0, the core seed by seed, the rest seed by seed.
         stage = (0 if core else 1) if first else (2 if core else 3)
-        slow = config.env == "humanoid"  # its core waits for nothing but the other tasks' core
+        slow = config.env == "humanoid"
         return stage, config.seed, slow, config.env, config.heads
 
     return sorted(dict.fromkeys(wanted), key=rank)

@@ -6,13 +6,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mapg_jax.config import Config
-from mapg_jax.results import settings
+from mapg_jax.results import Result, settings
 
 Row = Mapping[str, Any]
+COLUMNS = ("env", "algorithm", "heads", "seed", "steps", "settings")
+"""Say which run a row is of."""
 
 
 def identity(config: Config) -> dict[str, str]:
-    """The columns that say which run a row is of; text, as a CSV file gives it back."""
+    """COLUMNS of a run; text, as a CSV file gives it back."""
     algorithm = "ddpg" if (config.algorithm, config.heads) == ("mapg", 1) else config.algorithm
     return {
         "env": config.env,
@@ -22,6 +24,11 @@ def identity(config: Config) -> dict[str, str]:
         "steps": str(config.steps),
         "settings": settings(config),
     }
+
+
+def identity_of(result: Result) -> dict[str, str]:
+    """The same columns of a result."""
+    return {k: str(getattr(result, k)) for k in COLUMNS}
 
 
 def read(path: pathlib.Path) -> list[dict[str, str]]:
@@ -56,4 +63,4 @@ def of(path: pathlib.Path, runs: Sequence[Config]) -> list[dict[str, str]]:
 
 def missing(runs: Sequence[Config]) -> str:
     """What a section says that has nothing to show yet."""
-    return f"Missing: none of its {len(runs)} runs has finished."
+    return f"Missing: none of its {len(set(runs))} runs has finished."

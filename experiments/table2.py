@@ -3,13 +3,12 @@
 import pathlib
 
 import numpy as np
-from mapg_jax.report import arms_table
 
 from experiments import rows, scores
-from experiments.plan import A3C, HEADS, TASKS, Plan
+from experiments.plan import Plan
 from mapg_jax.config import Config
+from mapg_jax.report import arms_table
 
-ARMS = {"DDPG": {"heads": 1}, "A3C": A3C, **{f"M = {m}": {"heads": m} for m in HEADS}}
 PAPER = pathlib.Path(__file__).with_name("paper_table2.csv")
 """Mean and 3σ over the 100 episodes of one run: the paper's Table 2, which has no M = 5."""
 
@@ -17,8 +16,8 @@ PAPER = pathlib.Path(__file__).with_name("paper_table2.csv")
 def runs(plan: Plan) -> list[Config]:
     return [
         config
-        for env in TASKS
-        for changes in ARMS.values()
+        for env in plan.tasks
+        for changes in plan.arms().values()
         for config in plan.over_seeds(env, **changes)
     ]
 
@@ -42,10 +41,10 @@ def section(plan: Plan) -> str:
 
 def beside_the_paper(plan: Plan) -> str:
     """Two lines a task: ours and the paper's."""
-    lines = [f"| task | | {' | '.join(ARMS)} |", "|---|---|" + "---|" * len(ARMS)]
-    for env in TASKS:
-        ours = [_ours(plan, env, changes) for changes in ARMS.values()]
-        papers = [_paper(env, label) for label in ARMS]
+    lines = [f"| task | | {' | '.join(plan.arms())} |", "|---|---|" + "---|" * len(plan.arms())]
+    for env in plan.tasks:
+        ours = [_ours(plan, env, changes) for changes in plan.arms().values()]
+        papers = [_paper(env, label) for label in plan.arms()]
         lines.append(f"| {env} | here | {' | '.join(ours)} |")
         lines.append(f"| | the paper | {' | '.join(papers)} |")
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""The command line: mapg train | resume | evaluate | drive | envs."""
+"""The command line: mapg train | resume | evaluate | drive | report | envs."""
 
 import contextlib
 import dataclasses
@@ -15,11 +15,12 @@ import rich.table
 import tyro
 
 import envs
-from mapg_jax import heads
+from mapg_jax import document, heads
 from mapg_jax.config import PRESETS, Config
 from mapg_jax.finishing import finish
 from mapg_jax.member import DivergedError
 from mapg_jax.recording import draw_drive
+from mapg_jax.report import compose, gather, write
 from mapg_jax.run_folder import RunFolder
 from mapg_jax.runner import resume, start
 from mapg_jax.scoring import Physics, evaluate
@@ -124,6 +125,31 @@ class Drive:
 
 
 @dataclasses.dataclass
+class Report:
+    """Finished runs side by side: tables with intervals over seeds, and pictures.
+
+    Example: mapg report runs/hopper-m1-1 runs/hopper-m10-1 --out report
+    """
+
+    paths: tyro.conf.Positional[tuple[pathlib.Path, ...]]
+    """Run folders, folders of them at any depth, and CSV files of results."""
+    out: pathlib.Path | None = None
+    """Folder for report.md, its pictures, report.csv and report.html, which needs no other file."""
+
+    def run(self, out: TextIO) -> None:
+        print(refuse_politely(self._write), file=out, end="")
+
+    def _write(self) -> str:
+        if not self.paths:
+            raise ValueError("name a run folder, a folder of them or a CSV file of results")
+        runs = gather(self.paths)
+        blocks = compose(runs)
+        if self.out:
+            write(blocks, runs, self.out)
+        return document.markdown(blocks, pictures=False)
+
+
+@dataclasses.dataclass
 class Envs:
     """List the environments."""
 
@@ -188,7 +214,14 @@ def own_stdout():
             os.dup2(ours, 1)
 
 
-COMMANDS = {"train": Train, "resume": Resume, "evaluate": Evaluate, "drive": Drive, "envs": Envs}
+COMMANDS = {
+    "train": Train,
+    "resume": Resume,
+    "evaluate": Evaluate,
+    "drive": Drive,
+    "report": Report,
+    "envs": Envs,
+}
 
 
 def _parse(arguments: list[str]):

@@ -1,13 +1,29 @@
-"""Pictures of a run."""
+"""Pictures of a run, and of several runs together."""
 
 import pathlib
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from mapg_jax import statistics
 from mapg_jax.tracking import read_metrics
+
+if TYPE_CHECKING:  # slow to import, and needed once a run
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Curve = Mapping[str, np.ndarray]
+"""`env_steps` and other columns of metrics.csv."""
+COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+"""Okabe and Ito's, which the colour-blind tell apart too."""
+DASHES = ("-", "--", ":", "-.")
+PANEL = (4.3, 3.2)  # inches
 
 
 def draw_curve(metrics: pathlib.Path, path: pathlib.Path, title: str) -> None:
     """Return and spread of the actions over environment steps, as a PNG."""
-    from matplotlib.figure import Figure  # slow to import, and needed once a run
+    from matplotlib.figure import Figure
 
     rows = read_metrics(metrics)
     steps = [row["env_steps"] for row in rows]
@@ -24,3 +40,108 @@ def draw_curve(metrics: pathlib.Path, path: pathlib.Path, title: str) -> None:
     lower.set(xlabel="environment steps", ylabel="spread of\nthe actions")
     lower.set_ylim(bottom=0)
     figure.savefig(path, dpi=120)
+
+
+def draw_curves(
+    tasks: Mapping[str, Mapping[str, Sequence[Curve]]],
+    column: str = "return_mean",
+    label: str = "return of an evaluation",
+) -> "Figure":
+    """A panel a task, a line an arm: the mean over its seeds, and the 95 % interval as a band.
+
+    Args:
+      tasks: by task and arm, the curve of every seed. An arm has one colour in all panels.
+      column: of the curves, what is drawn over environment steps.
+      label: of that axis, with its unit.
+    """
+    figure, panels = _panels(tasks)
+    arms = list(dict.fromkeys(arm for of_task in tasks.values() for arm in of_task))
+    for axes, of_task in zip(panels, tasks.values(), strict=True):
+        for arm, curves in of_task.items():
+            place = arms.index(arm)
+            colour = COLOURS[place % len(COLOURS)]
+            steps, mean, low, high = mean_curve(curves, column)
+            style = DASHES[place // len(COLOURS) % len(DASHES)]
+            text = f"{arm} (n = {len(curves)})"
+            axes.plot(steps / 1e6, mean, style, color=colour, linewidth=1.5, label=text)
+            axes.fill_between(steps / 1e6, low, high, color=colour, alpha=0.15, linewidth=0)
+        axes.set(xlabel="environment steps, millions", ylabel=label)
+        axes.legend(fontsize="small", framealpha=0.6)
+    return figure
+
+
+def mean_curve(
+    curves: Sequence[Curve], column: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Environment steps, and the mean over seeds with its 95 % bootstrap interval at each.
+
+    The steps are those of the curve with the fewest rows, as far as all curves go; the others are
+    interpolated linearly where they were evaluated at other steps.
+
+    Returns:
+      steps, mean, low, high: [T], nan where there is none.
+    """
+    last = min(curve["env_steps"][-1] for curve in curves)
+    first = max(curve["env_steps"][0] for curve in curves)
+    steps = min((curve["env_steps"] for curve in curves), key=len)
+    steps = steps[(steps >= first) & (steps <= last)]
+    values = [np.interp(steps, curve["env_steps"], curve[column]) for curve in curves]
+    band = np.full((3, len(steps)), np.nan)
+    for point, of_seeds in enumerate(np.transpose(values)):
+        if np.isfinite(of_seeds).all():
+            band[:, point] = statistics.mean(of_seeds)
+    return steps, band[0], band[1], band[2]
+
+
+def draw_boxes(
+    tasks: Mapping[str, Mapping[str, Sequence[Sequence[float] | np.ndarray]]],
+    label: str = "score: mean return of a run",
+    arms: str = "M, actions proposed per state",
+) -> "Figure":
+    """A panel a task, a box an arm: quartiles, median, whiskers to 1.5 boxes; a dot a seed.
+
+    Args:
+      tasks: by task and arm, the numbers of every seed: its score alone, or the return of each of
+        its episodes. A box is of all numbers together, a dot the mean of one seed's.
+      label: of the vertical axis, with its unit.
+      arms: what the boxes are, under the horizontal axis.
+    """
+    figure, panels = _panels(tasks)
+    for axes, of_task in zip(panels, tasks.values(), strict=True):
+        for place, seeds in enumerate(of_task.values()):
+            if not len(seeds):
+                continue
+            axes.boxplot(
+                np.concatenate([np.atleast_1d(x) for x in seeds]),
+                positions=[place],
+                widths=0.6,
+                showfliers=False,
+                medianprops={"color": COLOURS[2], "linewidth": 2},
+            )
+            aside = 0.3 * (np.arange(len(seeds)) - (len(seeds) - 1) / 2) / len(seeds)
+            means = [np.mean(x) for x in seeds]
+            axes.plot(place + aside, means, "o", color=COLOURS[1], alpha=0.7, markersize=4)
+        names = [f"{arm}\nn = {len(seeds)}" for arm, seeds in of_task.items()]
+        axes.set_xticks(range(len(names)), names)
+        axes.set(xlabel=arms, ylabel=label, xlim=(-0.6, len(names) - 0.4))
+    return figure
+
+
+def _panels(titles: Sequence[str] | Mapping) -> "tuple[Figure, list[Axes]]":
+    """A figure with a titled panel each, two side by side: legible at a page's width."""
+    from matplotlib.figure import Figure
+
+    if not len(titles):
+        raise ValueError("there is nothing to draw")
+    columns = min(2, len(titles))
+    rows = -(-len(titles) // columns)
+    width, height = PANEL if columns > 1 else (7, 4)
+    figure = Figure(figsize=(columns * width, rows * height), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes in panels[len(titles) :]:
+        axes.remove()
+    for axes, title in zip(panels, titles, strict=False):
+        axes.set_title(title)
+        axes.grid(axis="y", alpha=0.3, linewidth=0.5)
+        axes.spines[["top", "right"]].set_visible(False)
+    return figure, list(panels[: len(titles)])

@@ -82,7 +82,6 @@ def read_run(folder: RunFolder | str | os.PathLike) -> Result:
         raise UnfinishedError(
             f"{folder.path} is not finished: {last['env_steps']:,.0f} of {config.steps:,} steps"
         )
-    algorithm = getattr(config, "algorithm", "mapg")
     with _reading(folder.path / "config.json") as record:
         history = record["history"]
         origin: dict[str, Any] = {
@@ -93,7 +92,9 @@ def read_run(folder: RunFolder | str | os.PathLike) -> Result:
     with _reading(folder.evaluation) as score:
         return Result(
             env=config.env.lower(),
-            algorithm="ddpg" if algorithm == "mapg" and config.heads == 1 else algorithm,
+            algorithm="ddpg"
+            if (config.algorithm, config.heads) == ("mapg", 1)
+            else config.algorithm,
             heads=config.heads,
             seed=config.seed,
             steps=int(last["env_steps"]),
@@ -171,6 +172,12 @@ def separate(results: Iterable[Result]) -> dict[Protocol, list[Result]]:
     return groups
 
 
+def identity(result: Result) -> tuple:
+    """What tells a run from every other one."""
+    arm = (result.env, result.algorithm, result.heads, result.settings)
+    return (*arm, result.seed, protocol(result))
+
+
 def merge(results: Iterable[Result]) -> list[Result]:
     """Each run once, the first record of it.
 
@@ -179,9 +186,7 @@ def merge(results: Iterable[Result]) -> list[Result]:
     """
     kept: dict[tuple, Result] = {}
     for result in results:
-        arm = (result.env, result.algorithm, result.heads, result.settings)
-        name = (*arm, result.seed, protocol(result))
-        other = kept.setdefault(name, result)
+        other = kept.setdefault(identity(result), result)
         if (other.return_mean, other.return_std) != (result.return_mean, result.return_std):
             raise ValueError(
                 f"two runs of {result.env}, {result.algorithm}, M = {result.heads}, "

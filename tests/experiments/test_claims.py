@@ -1,0 +1,186 @@
+"""Verdicts by the protocol, from rows as the runs would have written them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from experiments import claims, curves, fig2, fig3, overhead, paper, rows, scores
+from experiments.plan import A3C, DDPG, DRIVING, MAPG, NO_NOISE, make_plan
+from mapg_jax.results import Result, append_csv
+
+
+@pytest.fixture
+def plan(tmp_path):
+    return make_plan("paper", 1000, 5, tmp_path / "runs", tmp_path / "results")
+
+
+def write(plan, env, changes, values, **extra):
+    """Scores of a cell, a value a seed."""
+    results = []
+    for seed, value in enumerate(values):
+        key = rows.identity(plan.config(env, seed, **changes))
+        key |= {"heads": int(key["heads"]), "seed": seed, "steps": int(key["steps"])}
+        rest = {"return_std": 1.0, "episodes": 100, "select": "uniform", "physics": "native",
+                "versions": "", "seconds": 1.0, "date": "2026-01-01", "command": ""}  # fmt: skip
+        results.append(Result(**key, return_mean=float(value), **rest, **extra))
+    append_csv(scores.path(plan), results)
+
+
+def spread(low, n=5):
+    return low + np.arange(n)
+
+
+def test_a_claim_on_every_task_needs_every_task(plan):
+    for env in plan.tasks:
+        write(plan, env, DDPG, spread(0))
+    for env in plan.tasks[:-1]:
+        write(plan, env, MAPG, spread(100))
+    assert claims.c1(plan).verdict == "undecided"
+    assert "swimmer missing" in claims.c1(plan).evidence
+    write(plan, plan.tasks[-1], MAPG, spread(100))
+    assert claims.c1(plan).verdict == "supported"
+
+
+def test_one_task_contradicts(plan):
+    """5 against 5 has p = 0.008, below 0.05 / 5."""
+    for env in plan.tasks:
+        write(plan, env, DDPG, spread(0))
+        write(plan, env, MAPG, spread(-100 if env == "hopper" else 100))
+    assert claims.c1(plan).verdict == "contradicted"
+
+
+def test_three_seeds_against_three_decide_nothing(plan):
+    for env in plan.tasks:
+        write(plan, env, DDPG, spread(0, 3))
+        write(plan, env, MAPG, spread(100, 3))
+    verdict = claims.c1(plan)
+    assert verdict.verdict == "undecided"
+    assert "hopper 1.00 (1.00 to 1.00), n = 3, 3" in verdict.evidence
+
+
+def test_a3c_below_ddpg_supports_c9(plan):
+    for env in plan.tasks:
+        write(plan, env, DDPG, spread(0))
+        write(plan, env, A3C, spread(-100))
+    assert claims.c9(plan).verdict == "supported"
+
+
+@pytest.mark.parametrize(("slope", "expected"), [(1, "supported"), (-1, "contradicted")])
+def test_the_score_over_m(plan, slope, expected):
+    for env in ("hopper", "walker2d"):
+        for m in (1, *plan.heads):
+            write(plan, env, {"heads": m}, spread(100 * slope * m, 3))
+    assert claims.c2a(plan).verdict == expected
+    assert f"hopper {slope:.2f}" in claims.c2a(plan).evidence or slope < 0
+
+
+def test_noise_arms_are_told_apart(plan):
+    for env in ("pendulum", "halfcheetah"):
+        write(plan, env, DDPG, spread(0))
+        write(plan, env, MAPG, spread(-100))
+        write(plan, env, {**MAPG, **NO_NOISE}, spread(100))
+    assert claims.c5a(plan).verdict == "supported"
+    assert claims.c5b(plan).verdict == "contradicted"
+
+
+@pytest.mark.parametrize(
+    ("shares", "c6a", "c6b"),
+    [
+        ((0.0, 0.0, 0.0), "contradicted", "supported"),
+        ((0.6, 0.0, 1.0), "supported", "contradicted"),
+        ((0.1, 0.2, 0.0), "undecided", "undecided"),
+        ((1.0, 1.0), "undecided", "undecided"),
+    ],
+)
+def test_laps(plan, shares, c6a, c6b):
+    for changes in (DDPG, MAPG):
+        for seed, share in enumerate(shares):
+            one = plan._replace(seeds=1)
+            laps = {"distance_mean": 1.0, "laps_mean": share, "lap_share": share}
+            base = dataclasses.replace(plan.base, seed=seed)
+            write_one(one, base, changes, seed, laps)
+    assert claims.c6a(plan).verdict == c6a
+    assert claims.c6b(plan).verdict == c6b
+
+
+def write_one(plan, base, changes, seed, laps):
+    key = rows.identity(plan.config("driving", seed, **DRIVING, **changes))
+    key |= {"heads": int(key["heads"]), "seed": seed, "steps": int(key["steps"])}
+    result = Result(
+        **key, return_mean=0.0, return_std=0.0, episodes=100, select="uniform", physics="jax",
+        versions="", seconds=1.0, date="2026-01-01", command="", **laps,
+    )  # fmt: skip
+    append_csv(scores.path(plan), [result])
+
+
+def write_curve(plan, env, seed, **columns):
+    key = rows.identity(plan.config(env, seed, **MAPG))
+    length = len(next(iter(columns.values())))
+    columns = {name: np.zeros(length) for name in curves.COLUMNS} | columns
+    lines = [{**key, **{k: v[i] for k, v in columns.items()}} for i in range(length)]
+    rows.append(plan.results / curves.FILE, lines)
+
+
+@pytest.mark.parametrize(("spike", "expected"), [(8.0, "supported"), (1.0, "undecided")])
+def test_spread_that_falls_with_spikes(plan, spike, expected):
+    steps = np.arange(1.0, 41)
+    for seed in range(4):
+        spread = 1 / steps
+        spread[35] *= spike + seed / 100
+        write_curve(plan, "pendulum", seed, env_steps=steps, return_mean=steps - 10, spread=spread)
+    assert fig2.statistics_by_seed(plan)["spread with step"][0] < -0.8
+    assert claims.c3(plan).verdict == expected
+
+
+def test_spread_that_grows_contradicts_c3(plan):
+    steps = np.arange(1.0, 41)
+    for seed in range(3):
+        grown = steps + seed
+        write_curve(plan, "pendulum", seed, env_steps=steps, return_mean=steps, spread=grown)
+    assert claims.c3(plan).verdict == "contradicted"
+
+
+@pytest.mark.parametrize(
+    ("hanging", "upright", "expected"),
+    [(0.4, 0.1, "supported"), (0.05, 0.1, "contradicted"), (0.4, 0.001, "contradicted")],
+)
+def test_spread_by_angle(plan, hanging, upright, expected):
+    for seed in range(3):
+        key = rows.identity(plan.config("pendulum", seed, **MAPG))
+        lines = []
+        for angle in range(-175, 180, 10):
+            value = hanging if abs(angle) < 30 else upright if abs(angle) > 150 else 0.2
+            value *= 1 + 0.01 * seed
+            lines.append({**key, "angle": angle, "states": 7, "spread": value})
+        rows.append(plan.results / fig3.BINS, lines)
+    assert np.allclose(fig3.spread_by_seed(plan)["between"], [0.2, 0.202, 0.204])
+    assert claims.c4(plan).verdict == expected
+
+
+@pytest.mark.parametrize(("ratio", "expected"), [(1.3, "supported"), (1.8, "contradicted")])
+def test_overhead_is_judged_round_by_round(plan, ratio, expected):
+    lines = [
+        {"heads": m, "round": r, "seconds_per_step": (1 + r) * (ratio + 0.01 * r if m == 10 else 1)}
+        for r in range(7)
+        for m in (1, 10)
+    ]
+    rows.append(plan.results / overhead.TIMES, lines)
+    assert claims.c7(plan).verdict == expected
+
+
+def test_gaps_of_q(plan):
+    for env in plan.tasks:
+        for seed in range(3):
+            gap = np.array([5.0, 0.01 * (1 + 0.1 * seed)])
+            steps = np.array([1.0, 2.0])
+            write_curve(plan, env, seed, env_steps=steps, q_gap_relative=gap)
+    assert claims.c8(plan).verdict == "supported"
+
+
+def test_without_results_nothing_is_decided(plan):
+    verdicts = {verdict.claim: verdict.verdict for verdict in claims.ledger(plan)}
+    assert verdicts.pop("C10") == "not tested"
+    assert set(verdicts.values()) == {"undecided"}
+    page = paper.write_page(plan).read_text()
+    assert "missing" in page and "C10" in page
