@@ -4,6 +4,7 @@ import ast
 import dataclasses
 import datetime
 import inspect
+import itertools
 import json
 import pathlib
 import re
@@ -119,7 +120,7 @@ def go(folder: SweepFolder, out: TextIO) -> None:
 
 
 def _show_plan(plan: Plan, measure: bool, out: TextIO) -> None:
-    table = rich.table.Table("program", "run", "steps")
+    table = rich.table.Table("group", "run", "steps")
     for number, group in enumerate(plan.groups, 1):
         for job in group:
             table.add_row(str(number), job.path.name, f"{job.config.steps:,}")
@@ -127,7 +128,7 @@ def _show_plan(plan: Plan, measure: bool, out: TextIO) -> None:
     memory = plan.workers * max(map(group_bytes, plan.groups))
     disk = disk_bytes(plan.groups, plan.workers, plan.keep_replay)
     runs = sum(map(len, plan.groups))
-    print(f"{runs} runs in {len(plan.groups)} programs, {plan.workers} side by side", file=out)
+    print(f"{runs} runs in {len(plan.groups)} groups, {plan.workers} side by side", file=out)
     print(f"memory: {memory / 1e9:.1f} GB of training state", file=out)
     print(f"disk:   {disk / 1e9:.1f} GB of checkpoints at most", file=out)
     if measure:
@@ -178,7 +179,7 @@ def _docstrings(cls: type) -> dict[str, str]:
     body = typing.cast(ast.ClassDef, definition).body
     return {
         field.target.id: ast.literal_eval(text.value)
-        for field, text in zip(body, body[1:], strict=False)
+        for field, text in itertools.pairwise(body)
         if isinstance(field, ast.AnnAssign)
         and isinstance(field.target, ast.Name)
         and isinstance(text, ast.Expr)
