@@ -9,7 +9,7 @@ import tempfile
 
 import numpy as np
 
-from benchmarks import driving, learner, physics
+from benchmarks import driving, learner, physics, sweep
 
 ROUNDS = 3
 STEPS = 60_000
@@ -18,7 +18,7 @@ REPORT = pathlib.Path("benchmarks/results.md")
 
 
 def main() -> None:
-    sections = [_header(), _learner(), _physics(), _start(), driving.report()]
+    sections = [_header(), _learner(), _physics(), _start(), driving.report(), sweep.report()]
     text = "\n\n".join(sections) + "\n"
     REPORT.write_text(text)
     print(text)

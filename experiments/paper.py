@@ -7,13 +7,12 @@ import pathlib
 from collections.abc import Sequence
 from typing import Literal
 
-from mapg_jax.sweep import run_all
-
 from experiments import curves, rows, scores
 from experiments.plan import Plan, in_order
 from mapg_jax.config import Config
 from mapg_jax.results import UnfinishedError, read_run
 from mapg_jax.run_folder import RunFolder
+from mapg_jax.sweep import run_all
 
 Name = Literal[
     "table2", "fig1", "fig5", "fig2", "fig3", "fig4", "torcs", "overhead", "heads", "claims"

@@ -1,12 +1,10 @@
-"""The command line: mapg train | resume | evaluate | drive | report | envs."""
+"""The command line: mapg train | sweep | resume | evaluate | drive | report | envs."""
 
-import contextlib
 import dataclasses
 import json
 import os
 import pathlib
 import sys
-from collections.abc import Callable
 from typing import Literal, TextIO
 
 import jax
@@ -15,8 +13,9 @@ import rich.table
 import tyro
 
 import envs
-from mapg_jax import document, heads
+from mapg_jax import document, heads, sweep_command
 from mapg_jax.config import PRESETS, Config
+from mapg_jax.console import complain, console, own_stdout, refuse_politely
 from mapg_jax.finishing import finish
 from mapg_jax.member import DivergedError
 from mapg_jax.recording import draw_drive
@@ -25,6 +24,8 @@ from mapg_jax.run_folder import RunFolder
 from mapg_jax.runner import resume, start
 from mapg_jax.scoring import Physics, evaluate
 from mapg_jax.signals import StoppedError
+from mapg_jax.sweep_command import SweepOptions
+from mapg_jax.sweep_folder import SweepFolder
 
 Preset = Literal["paper", "parallel", "smoke"]
 
@@ -51,14 +52,25 @@ class Train:
 
 @dataclasses.dataclass
 class Resume:
-    """Go on with a run from its newest checkpoint, bit for bit as if it had not stopped."""
+    """Go on with a run, bit for bit as if it had not stopped, or with what a sweep still lacks."""
 
     path: tyro.conf.Positional[pathlib.Path]
-    """Run folder."""
+    """Folder of a run or of a sweep."""
     steps: int | None = None
     """A new total of environment steps, to train a finished run further."""
 
     def run(self, out: TextIO) -> None:
+        if SweepFolder.is_one(self.path):
+            sweep_command.go(refuse_politely(self._sweep), out)
+        else:
+            self._resume_run(out)
+
+    def _sweep(self) -> SweepFolder:
+        if self.steps is not None:
+            raise ValueError(f"{self.path} is a sweep; --steps trains a run of it further")
+        return SweepFolder.open(self.path)
+
+    def _resume_run(self, out: TextIO) -> None:
         run = refuse_politely(lambda: resume(self.path, self.steps))
         if run.finished:
             print(
@@ -167,7 +179,7 @@ class Envs:
                 ", ".join(spec.engines),
                 spec.gymnasium_id or "",
             )
-        _console(out).print(table)
+        console(out).print(table)
         print("brax:NAME takes any environment of Brax.", file=out)
 
 
@@ -183,40 +195,18 @@ def main() -> None:
         try:
             command.run(out)
         except DivergedError as error:
-            sys.exit(_complain(str(error), 1))
+            sys.exit(complain(str(error), 1))
         except KeyboardInterrupt:
-            sys.exit(_complain("interrupted", 130))
+            sys.exit(complain("interrupted", 130))
         except OSError as error:  # a full disk, say
-            sys.exit(_complain(str(error), 1))
+            sys.exit(complain(str(error), 1))
         except StoppedError as error:
-            sys.exit(_complain(str(error), 128 + error.number))
-
-
-def refuse_politely(function: Callable):
-    """The function's value; a refusal is one line on standard error and exit status 2."""
-    try:
-        return function()
-    except (ValueError, OSError) as error:
-        sys.exit(_complain(str(error), 2))
-
-
-@contextlib.contextmanager
-def own_stdout():
-    """Standard output for us alone: what imported libraries print goes to standard error."""
-    sys.stdout.flush()
-    ours = os.dup(1)
-    os.dup2(2, 1)
-    with os.fdopen(ours, "w") as out:
-        try:
-            yield out
-        finally:
-            sys.stdout.flush()
-            out.flush()
-            os.dup2(ours, 1)
+            sys.exit(complain(str(error), 128 + error.number))
 
 
 COMMANDS = {
     "train": Train,
+    "sweep": SweepOptions,
     "resume": Resume,
     "evaluate": Evaluate,
     "drive": Drive,
@@ -229,10 +219,12 @@ def _parse(arguments: list[str]):
     # One command at a time: tyro's messages then name flags as the user wrote them.
     name, *flags = arguments or ["--help"]
     if name in COMMANDS:
-        prog = f"mapg {name}"
-        if name != "train":
-            return tyro.cli(COMMANDS[name], prog=prog, args=flags)
-        return tyro.cli(Train, prog=prog, args=flags, default=Train(PRESETS[_named_preset(flags)]))
+        prog, preset = f"mapg {name}", PRESETS[_named_preset(flags)]
+        if name == "sweep":
+            return sweep_command.parse(flags, preset)
+        if name == "train":
+            return tyro.cli(Train, prog=prog, args=flags, default=Train(preset))
+        return tyro.cli(COMMANDS[name], prog=prog, args=flags)
     description = "Multiple Action Policy Gradients. Each command has its own --help."
     return tyro.extras.subcommand_cli_from_dict(
         COMMANDS, prog="mapg", description=description, args=[name]
@@ -270,16 +262,7 @@ def _print_score(record: dict, out: TextIO) -> None:
         f"{low:.1f} to {high:.1f}",
         *(f"{sum(values) / len(values):.1f}" for values in scored.values()),
     )
-    _console(out).print(table)
-
-
-def _console(out: TextIO) -> rich.console.Console:
-    return rich.console.Console(file=out, width=None if out.isatty() else 120)
-
-
-def _complain(message: str, status: int) -> int:
-    print(f"mapg: {message}", file=sys.stderr)
-    return status
+    console(out).print(table)
 
 
 def _cache_folder() -> pathlib.Path:

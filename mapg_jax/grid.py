@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import math
 import urllib.parse
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -28,6 +29,11 @@ def expand(base: Config, values: Values) -> list[Config]:
     product = itertools.product(*(values[name] for name in names))
     cells = (dataclasses.replace(base, **dict(zip(names, cell, strict=True))) for cell in product)
     return list(dict.fromkeys(cells))
+
+
+def size(values: Values) -> int:
+    """Cells of the product, equal ones included."""
+    return math.prod(map(len, values.values()))
 
 
 def names(cells: Sequence[Config]) -> list[str]:

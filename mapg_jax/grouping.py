@@ -78,9 +78,9 @@ def workers_that_fit(cut: Sequence[Group], wanted: int | None = None) -> int:
     workers = min(wanted or (cpus() if on_cpu else 1), len(cut) or 1)
     if fitting < (workers if wanted else 1):
         raise ValueError(
-            f"{workers if wanted else 1} processes need {each / 1e9:.1f} GB each, but "
-            f"{available_bytes() / 1e9:.1f} GB are available; choose fewer --workers, a smaller "
-            "--group or a smaller --replay-size"
+            f"{wanted or 1} at a time, each of {each / 1e9:.1f} GB, do not fit the "
+            f"{available_bytes() / 1e9:.1f} GB that are available; choose fewer --workers, a "
+            "smaller --group or a smaller --replay-size"
         )
     return min(workers, fitting)
 

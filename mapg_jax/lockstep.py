@@ -141,12 +141,12 @@ def _stack(trees: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
 
 
-def _as_dtype(leaf: jax.Array, dtype: Any) -> jax.Array:
+def _as_dtype(leaf: Any, dtype: Any) -> Any:
     """Heads are stored in a byte or not, by the largest M of the program."""
     return leaf if leaf.dtype == dtype else leaf.astype(dtype)
 
 
-def _paste(padded: np.ndarray, leaf: jax.Array) -> np.ndarray:
+def _paste(padded: Any, leaf: Any) -> np.ndarray:
     """The padded array with a smaller one in its first corner."""
     padded = np.array(padded)
     padded[tuple(map(slice, leaf.shape))] = leaf

@@ -54,18 +54,7 @@ class RunFolder:
           ValueError: if the folder exists or cannot be created.
         """
         path = _next_free(config) if path is None else pathlib.Path(path)
-        made = [p for p in (path, *path.parents) if not p.exists()]
-        try:
-            path.mkdir(parents=True)
-        except FileExistsError:
-            raise ValueError(
-                f"{path} exists already; choose another --out, or go on with: mapg resume {path}"
-            ) from None
-        except OSError as error:
-            for parent in made:  # the parents that were made before it failed
-                with contextlib.suppress(OSError):
-                    parent.rmdir()
-            raise ValueError(f"{path} cannot be created: {error.strerror}") from None
+        make_folder(path)
         folder = cls(path, config)
         folder.write_config()
         return folder
@@ -84,7 +73,7 @@ class RunFolder:
         if not file.is_file():
             raise ValueError(f"{path} is not a run folder: it has no config.json")
         try:
-            config = _parse_config(json.loads(file.read_text())["config"])
+            config = parse_config(json.loads(file.read_text())["config"])
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{file} is damaged: {error}") from None
         return cls(path, config)
@@ -103,6 +92,26 @@ class RunFolder:
         write_json(file, {"config": config, "history": [*earlier, process]})
 
 
+def make_folder(path: pathlib.Path) -> None:
+    """A new folder.
+
+    Raises:
+      ValueError: if it exists or cannot be created.
+    """
+    made = [p for p in (path, *path.parents) if not p.exists()]
+    try:
+        path.mkdir(parents=True)
+    except FileExistsError:
+        raise ValueError(
+            f"{path} exists already; choose another --out, or go on with: mapg resume {path}"
+        ) from None
+    except OSError as error:
+        for parent in made:  # the parents that were made before it failed
+            with contextlib.suppress(OSError):
+                parent.rmdir()
+        raise ValueError(f"{path} cannot be created: {error.strerror}") from None
+
+
 def write_json(path: pathlib.Path, record: dict[str, Any]) -> None:
     """Writes the whole file or leaves the old one."""
     partial = path.with_suffix(".partial")
@@ -119,8 +128,11 @@ def _next_free(config: Config) -> pathlib.Path:
     return path
 
 
-def _parse_config(values: dict[str, Any]) -> Config:
-    """JSON has no tuples; a field that came after the run has the default, as the run had."""
+def parse_config(values: dict[str, Any]) -> Config:
+    """A configuration from JSON, which has no tuples.
+
+    A field that came after the run has the default, as the run had.
+    """
     unknown = set(values) - set(typing.get_type_hints(Config))
     if unknown:
         raise ValueError(f"unknown: {', '.join(sorted(unknown))}")

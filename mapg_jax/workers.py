@@ -34,6 +34,10 @@ class Worker:
         if hasattr(os, "sched_setaffinity") and cores:
             os.sched_setaffinity(self._process.pid, cores)  # before it starts any thread
 
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
     def running(self) -> bool:
         return self._process.poll() is None
 

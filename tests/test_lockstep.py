@@ -1,0 +1,173 @@
+"""Several runs as one compiled program are the separate runs."""
+
+import dataclasses
+import logging
+import shutil
+
+import jax
+import numpy as np
+import oracles
+import pytest
+
+from mapg_jax import lockstep, runner
+from mapg_jax.checkpointing import Checkpoints
+from mapg_jax.config import Config
+from mapg_jax.member import DivergedError
+from mapg_jax.policy import load_policy
+from mapg_jax.run_folder import RunFolder
+from mapg_jax.runner import Run
+from mapg_jax.tracking import read_metrics
+from mapg_jax.training import make_trainer
+
+CELLS = [
+    dataclasses.replace(oracles.RUN, steps=400, heads=m, seed=seed, noise_scale=0.2 + 0.1 * seed)
+    for m in (1, 4, 10)
+    for seed in (0, 1)
+]
+# Sums over 10 heads, and batched products, round otherwise than a run alone: some 200 updates
+# later numbers agree to 1e-4 of the largest of their leaf.
+CLOSE = 1e-4
+
+
+def lockstep_run(cells, path) -> Run:
+    folders = [RunFolder.create(path / str(k), cell) for k, cell in enumerate(cells)]
+    return Run(runner.prepare(*cells), folders)
+
+
+def state_of(folder: RunFolder):
+    return Checkpoints(folder.checkpoints).load(make_trainer(folder.config).shapes)[0]
+
+
+def numbers(x):
+    return jax.random.key_data(x) if jax.numpy.issubdtype(x.dtype, jax.dtypes.prng_key) else x
+
+
+def assert_close(got, expected):
+    def close(x, y):
+        x, y = np.asarray(numbers(x)), np.asarray(numbers(y))
+        assert (x.dtype, x.shape) == (y.dtype, y.shape)
+        if np.issubdtype(x.dtype, np.floating):
+            np.testing.assert_allclose(x, y, rtol=0, atol=CLOSE * max(1e-3, np.abs(y).max()))
+        else:  # heads drawn, ends of episodes, keys and counters
+            np.testing.assert_array_equal(x, y)
+
+    jax.tree.map(close, got, expected)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """M = 1, 4, 10, two seeds and two noises each, and the names of what was compiled."""
+    compiled = []
+
+    class Names(logging.Handler):
+        def emit(self, record):
+            compiled.append(record.getMessage())
+
+    handler, logger = Names(), logging.getLogger("jax._src.interpreters.pxla")
+    run = lockstep_run(CELLS, tmp_path_factory.mktemp("lockstep"))
+    logger.addHandler(handler)
+    before = jax.config.jax_log_compiles
+    jax.config.update("jax_log_compiles", True)
+    try:
+        run.go()
+    finally:
+        jax.config.update("jax_log_compiles", before)
+        logger.removeHandler(handler)
+    return [member.folder for member in run.members], compiled
+
+
+def test_one_program_serves_all(whole):
+    """The training loop and the evaluation are compiled once each, not once a run."""
+    _, compiled = whole
+    for name in ("run", "play"):
+        assert sum(f"Compiling jit({name}) " in message for message in compiled) == 1, compiled
+
+
+@pytest.mark.parametrize("k", [0, 3, 5])
+def test_each_is_the_run_alone(whole, k, tmp_path):
+    """Heads, ends of episodes, keys and counters to the last bit, floats up to rounding."""
+    folders, _ = whole
+    config = dataclasses.replace(CELLS[k], checkpoint_seconds=300.0)
+    alone = runner.train(config, tmp_path / "alone")
+    assert_close(state_of(folders[k]), state_of(alone))
+    rows = zip(read_metrics(folders[k].metrics), read_metrics(alone.metrics), strict=True)
+    for one, other in rows:
+        for name, value in other.items():
+            if not name.endswith(("seconds", "per_second")):
+                assert one[name] == pytest.approx(value, rel=1e-3, abs=1e-4), name
+    assert load_policy(folders[k].path).proposals(np.zeros(3)).shape == (CELLS[k].heads, 1)
+
+
+def test_an_initial_state_is_that_of_the_run_alone_to_the_last_bit():
+    program = lockstep.Lockstep(CELLS)
+    state = program.init()
+    for k in (0, 3, 5):
+        alone = make_trainer(CELLS[k]).jitted_init(CELLS[k].seed)
+        oracles.assert_equal(program.plain_state(state, k), alone)
+
+
+def test_resuming_equals_not_stopping(whole, tmp_path):
+    """From the checkpoints of step 200, all leaves and all numbers to the last bit."""
+    folders, _ = whole
+    copies = []
+    for folder in folders:
+        shutil.copytree(folder.path, tmp_path / folder.path.name)
+        copies.append(RunFolder.open(tmp_path / folder.path.name))
+        for checkpoint in copies[-1].checkpoints.iterdir():
+            if int(checkpoint.name) > 200:
+                shutil.rmtree(checkpoint)
+    run = Run(runner.prepare(*CELLS), copies)
+    run.restore()
+    assert run.env_steps == 200
+    run.go()
+    for copy, folder in zip(copies, folders, strict=True):
+        oracles.assert_equal(state_of(copy), state_of(folder))
+        assert [row["q_mean"] for row in read_metrics(copy.metrics)] == [
+            row["q_mean"] for row in read_metrics(folder.metrics)
+        ]
+
+
+def test_a_run_that_diverges_does_not_stop_the_others(whole, tmp_path):
+    folders, _ = whole
+    cells = [*CELLS[:2], dataclasses.replace(CELLS[2], critic_learning_rate=1e30), *CELLS[3:]]
+    rare = [dataclasses.replace(cell, checkpoint_seconds=300.0) for cell in cells]
+    run = lockstep_run(rare, tmp_path)
+    run.go()
+    failures = [member.failure for member in run.members]
+    assert [k for k, failure in enumerate(failures) if failure] == [2]
+    assert "no longer finite at step 16" in str(failures[2])
+    assert not read_metrics(run.members[2].folder.metrics)
+    for k in (0, 1, 3, 4, 5):
+        oracles.assert_equal(state_of(run.members[k].folder), state_of(folders[k]))
+
+
+def test_it_ends_when_none_is_left(tmp_path):
+    cells = [dataclasses.replace(cell, critic_learning_rate=1e30) for cell in CELLS[:2]]
+    with pytest.raises(DivergedError, match="at step 16"):
+        lockstep_run(cells, tmp_path).go()
+
+
+def test_what_is_traced_may_differ_and_nothing_else():
+    for field in dataclasses.fields(Config):
+        one, other = Config(), changed(field.name)
+        differ = lockstep.program_key(one) != lockstep.program_key(other)
+        assert differ == (field.name not in lockstep.TRACED), field.name
+    with pytest.raises(ValueError, match="traced numbers alone"):
+        lockstep.Lockstep([Config(), dataclasses.replace(Config(), batch_size=32)])
+
+
+def changed(name: str) -> Config:
+    """The default configuration with another value of one field."""
+    others = {
+        "env": "hopper", "algorithm": "a3c", "env_options": ("g=9.81",), "engine": "jax",
+        "gradient": "all", "target": "sampled", "truncation": "terminal", "noise": "none",
+        "hidden": (8, 8), "time_limit": 7, "max_gradient_norm": 1.0, "noise_scale_last": 0.3,
+    }  # fmt: skip
+    value = getattr(Config(), name)
+    if name in others:
+        value = others[name]
+    elif isinstance(value, bool):
+        value = not value
+    else:
+        value = value + 1 if isinstance(value, int) else value / 2
+    return dataclasses.replace(Config(), **{name: value})
