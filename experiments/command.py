@@ -34,7 +34,7 @@ class Paper:
     workers: int | None = None
     """Processes side by side; by default as many as cores and memory allow."""
     out: pathlib.Path | None = None
-    """Folder of the results; by default results/, of other presets runs/paper-PRESET/results/."""
+    """Folder of the results; by default results/, of other steps or presets beside their runs."""
 
     def run(self, out: TextIO) -> None:
         plan = refuse_politely(self._plan)
@@ -53,6 +53,8 @@ class Paper:
     def _plan(self) -> Plan:
         if self.seeds < 1:
             raise ValueError(f"seeds must be at least 1, got {self.seeds}")
-        runs = pathlib.Path("runs") / ("paper" if self.preset == "paper" else "paper-smoke")
-        results = pathlib.Path("results") if self.preset == "paper" else runs / "results"
+        own = [self.preset] if self.preset != "paper" else []
+        own += [str(self.steps)] if self.steps is not None else []
+        runs = pathlib.Path("runs") / "-".join(["paper", *own])
+        results = runs / "results" if own else pathlib.Path("results")
         return make_plan(self.preset, self.steps, self.seeds, runs, self.out or results)

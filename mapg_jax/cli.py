@@ -13,6 +13,7 @@ import rich.table
 import tyro
 
 import envs
+from experiments.command import Paper
 from mapg_jax import document, heads, sweep_command
 from mapg_jax.config import PRESETS, Config
 from mapg_jax.console import complain, console, own_stdout, refuse_politely
@@ -211,6 +212,7 @@ COMMANDS = {
     "evaluate": Evaluate,
     "drive": Drive,
     "report": Report,
+    "paper": Paper,
     "envs": Envs,
 }
 
