@@ -2,6 +2,7 @@
 "down."""
 
 import functools
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -93,7 +94,7 @@ def section(plan: Plan) -> str:
     )
 
 
-def draw(bins: list[rows.Row], episode: list[rows.Row]):
+def draw(bins: Sequence[rows.Row], episode: Sequence[rows.Row]):
     """Spread by angle, all seeds; angle and spread over one episode."""
     from matplotlib.figure import Figure  # slow to import
 
