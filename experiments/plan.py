@@ -67,7 +67,10 @@ def make_plan(
     if steps is not None:
         base = dataclasses.replace(base, steps=steps)
     return Plan(
-        dataclasses.replace(base, evaluate_every=max(1, base.steps // 40)), seeds, runs, results
+        dataclasses.replace(base, evaluate_every=max(1, base.steps // 40), checkpoints_kept=1),
+        seeds,
+        runs,
+        results,
     )
 
 

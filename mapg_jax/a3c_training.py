@@ -84,7 +84,8 @@ class A3cTrainer(Loop):
 
     def learn(self, state: A3cTrainState, rollout: Rollout) -> A3cTrainState:
         """One update; the statistics of observations move after it, so that it is on-policy."""
-        agent, metrics = self.agent.learn(state.agent, rollout)
+        prepared = self.agent.prepare(state.agent, rollout)
+        agent, metrics = self.agent.learn(state.agent, prepared)
         upcoming = jnp.concatenate([rollout.observation[1:], jnp.asarray(state.env.obs)[None]])
         agent = self.agent.see(agent, upcoming.reshape(-1, upcoming.shape[-1]))
         finite = jnp.isfinite(metrics.critic_loss + metrics.actor_loss)

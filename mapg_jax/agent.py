@@ -80,6 +80,13 @@ class Agent:
         observation = self.normalize(state, observation)
         return self.algorithm.act(state.learner, state.hyper, observation, key, select)
 
+    def prepare(self, state: AgentState, batch: Any) -> Any:
+        """A batch of raw transitions, or a rollout, as the learner takes it."""
+        return batch._replace(
+            observation=self.normalize(state, batch.observation),
+            next_observation=self.normalize(state, batch.next_observation),
+        )
+
 
 class MapgAgent(Agent):
     """MAPG: acts by the head it is told, and learns from stored transitions."""
@@ -92,13 +99,6 @@ class MapgAgent(Agent):
         """The action that one head a state proposes for raw observations."""
         observation = self.normalize(state, observation)
         return self.algorithm.proposal(state.learner.actor, observation, head)
-
-    def prepare(self, state: AgentState, batch: mapg.Transition) -> mapg.Transition:
-        """A batch of stored transitions as the learner takes it."""
-        return batch._replace(
-            observation=self.normalize(state, batch.observation),
-            next_observation=self.normalize(state, batch.next_observation),
-        )
 
     def learn(
         self, state: AgentState, batch: mapg.Transition, key: PRNGKeyArray
@@ -123,11 +123,7 @@ class A3cAgent(Agent):
     def learn(
         self, state: AgentState, rollout: a3c.Rollout
     ) -> tuple[AgentState, a3c.UpdateMetrics]:
-        """One update on raw observations, under the statistics they were acted on."""
-        rollout = rollout._replace(
-            observation=self.normalize(state, rollout.observation),
-            next_observation=self.normalize(state, rollout.next_observation),
-        )
+        """One update on a prepared rollout."""
         learner, metrics = self.algorithm.update(state.learner, state.hyper, rollout)
         return state.replace(learner=learner), metrics
 

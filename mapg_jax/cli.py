@@ -13,6 +13,7 @@ import rich.table
 import tyro
 
 import envs
+from experiments.command import Paper
 from mapg_jax import document, heads, sweep_command
 from mapg_jax.config import PRESETS, Config
 from mapg_jax.console import complain, console, own_stdout, refuse_politely
@@ -96,9 +97,10 @@ class Evaluate:
     physics: Physics = "auto"
     """What to run on: the run's own engine, a named one, or Gymnasium's official environment."""
     select: heads.Select = "uniform"
-    """How one action is made of the M proposals."""
+    """How one action is made of the M proposals; for A3C, uniform samples its Gaussian, mean takes
+    its mean."""
     seed: int = 0
-    """Of starts and heads."""
+    """Of starts and actions."""
     json: bool = False
     """Print one JSON object instead of a table."""
 
@@ -210,6 +212,7 @@ COMMANDS = {
     "evaluate": Evaluate,
     "drive": Drive,
     "report": Report,
+    "paper": Paper,
     "envs": Envs,
 }
 

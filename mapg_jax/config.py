@@ -81,11 +81,11 @@ class Config:
     noise_scale_last: float | None = None
     """σ in the last environment; those between take even steps. By default all have one σ."""
 
-    a3c_rollout_steps: int = 5
+    a3c_rollout_steps: int = 10
     """A3C: n, steps of every environment between updates; N · n make a batch."""
     a3c_actor_learning_rate: float = 1e-4
     """A3C: of Adam, for the actor."""
-    a3c_critic_learning_rate: float = 1e-3
+    a3c_critic_learning_rate: float = 1e-2
     """A3C: of Adam, for the critic."""
     a3c_max_gradient_norm: float | None = 0.5
     """A3C: the gradient of each network is scaled down to this norm."""

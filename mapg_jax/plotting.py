@@ -1,7 +1,7 @@
 """Pictures of a run, and of several runs together."""
 
 import pathlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,12 +17,12 @@ Curve = Mapping[str, np.ndarray]
 """`env_steps` and other columns of metrics.csv."""
 COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """Okabe and Ito's, which the colour-blind tell apart too."""
-DASHES = ("-", "--", ":", "-.")
 PANEL = (4.3, 3.2)  # inches
+LEAST_IN_A_BOX = 5
 
 
 def draw_curve(metrics: pathlib.Path, path: pathlib.Path, title: str) -> None:
-    """Return and spread of the actions over environment steps, as a PNG."""
+    """Return and spread of the actions (of A3C its σ) over environment steps, as a PNG."""
     from matplotlib.figure import Figure
 
     rows = read_metrics(metrics)
@@ -36,8 +36,11 @@ def draw_curve(metrics: pathlib.Path, path: pathlib.Path, title: str) -> None:
     upper.fill_between(steps, low, high, alpha=0.2, color="tab:blue", linewidth=0)
     episodes = int(rows[0]["episodes"])
     upper.set(title=title, ylabel=f"return\nmean ± std of {episodes} episodes")
-    lower.plot(steps, [row["spread"] for row in rows], marker=".", color="tab:orange")
-    lower.set(xlabel="environment steps", ylabel="spread of\nthe actions")
+    column, label = "spread", "spread of\nthe actions"
+    if "action_std" in rows[0]:
+        column, label = "action_std", "σ of\nthe actions"
+    lower.plot(steps, [row[column] for row in rows], marker=".", color="tab:orange")
+    lower.set(xlabel="environment steps", ylabel=label)
     lower.set_ylim(bottom=0)
     figure.savefig(path, dpi=120)
 
@@ -49,24 +52,30 @@ def draw_curves(
 ) -> "Figure":
     """A panel a task, a line an arm: the mean over its seeds, and the 95 % interval as a band.
 
+    n, the number of seeds, stands in the legend, from the least to the most of all panels.
+
     Args:
       tasks: by task and arm, the curve of every seed. An arm has one colour in all panels.
       column: of the curves, what is drawn over environment steps.
       label: of that axis, with its unit.
     """
-    figure, panels = _panels(tasks)
+    from matplotlib.ticker import EngFormatter
+
+    figure, panels = _panels(tasks, "environment steps", label)
     arms = list(dict.fromkeys(arm for of_task in tasks.values() for arm in of_task))
-    for axes, of_task in zip(panels, tasks.values(), strict=True):
-        for arm, curves in of_task.items():
-            place = arms.index(arm)
-            colour = COLOURS[place % len(COLOURS)]
-            steps, mean, low, high = mean_curve(curves, column)
-            style = DASHES[place // len(COLOURS) % len(DASHES)]
-            text = f"{arm} (n = {len(curves)})"
-            axes.plot(steps / 1e6, mean, style, color=colour, linewidth=1.5, label=text)
-            axes.fill_between(steps / 1e6, low, high, color=colour, alpha=0.15, linewidth=0)
-        axes.set(xlabel="environment steps, millions", ylabel=label)
-        axes.legend(fontsize="small", framealpha=0.6)
+    for place, arm in enumerate(arms):
+        colour = COLOURS[place % len(COLOURS)]
+        seeds = sorted({len(of_task[arm]) for of_task in tasks.values() if arm in of_task})
+        several = f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else seeds[0]
+        panels[0].plot([], [], label=f"{arm} (n = {several})", color=colour)
+        for axes, of_task in zip(panels, tasks.values(), strict=True):
+            if arm in of_task:
+                steps, mean, low, high = mean_curve(of_task[arm], column)
+                axes.plot(steps, mean, linewidth=1.5, color=colour)
+                axes.fill_between(steps, low, high, alpha=0.15, linewidth=0, color=colour)
+    for axes in panels:
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    figure.legend(loc="outside lower center", ncols=4, frameon=False)
     return figure
 
 
@@ -98,50 +107,57 @@ def draw_boxes(
     label: str = "score: mean return of a run",
     arms: str = "M, actions proposed per state",
 ) -> "Figure":
-    """A panel a task, a box an arm: quartiles, median, whiskers to 1.5 boxes; a dot a seed.
+    """A panel a task, a place an arm, and a dot a seed; from five numbers on a box.
+
+    A box has quartiles and median, and whiskers to 1.5 times its height.
 
     Args:
       tasks: by task and arm, the numbers of every seed: its score alone, or the return of each of
         its episodes. A box is of all numbers together, a dot the mean of one seed's.
       label: of the vertical axis, with its unit.
-      arms: what the boxes are, under the horizontal axis.
+      arms: what is side by side, under the horizontal axis.
     """
-    figure, panels = _panels(tasks)
+    figure, panels = _panels(tasks, arms, label)
     for axes, of_task in zip(panels, tasks.values(), strict=True):
         for place, seeds in enumerate(of_task.values()):
-            if not len(seeds):
-                continue
-            axes.boxplot(
-                np.concatenate([np.atleast_1d(x) for x in seeds]),
-                positions=[place],
-                widths=0.6,
-                showfliers=False,
-                medianprops={"color": COLOURS[2], "linewidth": 2},
-            )
-            aside = 0.3 * (np.arange(len(seeds)) - (len(seeds) - 1) / 2) / len(seeds)
+            numbers = np.concatenate([np.atleast_1d(x) for x in (*seeds, [])])
+            if len(numbers) >= LEAST_IN_A_BOX:
+                axes.boxplot(
+                    numbers,
+                    positions=[place],
+                    widths=0.6,
+                    showfliers=False,
+                    medianprops={"color": COLOURS[2], "linewidth": 2},
+                )
+            aside = 0.3 * (np.arange(len(seeds)) - (len(seeds) - 1) / 2) / max(1, len(seeds))
             means = [np.mean(x) for x in seeds]
-            axes.plot(place + aside, means, "o", color=COLOURS[1], alpha=0.7, markersize=4)
-        names = [f"{arm}\nn = {len(seeds)}" for arm, seeds in of_task.items()]
+            axes.plot(place + aside, means, "o", color=COLOURS[1], alpha=0.7, markersize=5)
+        counts = [f"n = {len(seeds)}" if seeds else "missing" for seeds in of_task.values()]
+        names = [f"{arm}\n{count}" for arm, count in zip(of_task, counts, strict=True)]
         axes.set_xticks(range(len(names)), names)
-        axes.set(xlabel=arms, ylabel=label, xlim=(-0.6, len(names) - 0.4))
+        axes.set_xlim(-0.6, len(names) - 0.4)
     return figure
 
 
-def _panels(titles: Sequence[str] | Mapping) -> "tuple[Figure, list[Axes]]":
+def _panels(titles: Collection[str], below: str, beside: str) -> "tuple[Figure, list[Axes]]":
     """A figure with a titled panel each, two side by side: legible at a page's width."""
     from matplotlib.figure import Figure
 
-    if not len(titles):
+    if not titles:
         raise ValueError("there is nothing to draw")
     columns = min(2, len(titles))
     rows = -(-len(titles) // columns)
     width, height = PANEL if columns > 1 else (7, 4)
     figure = Figure(figsize=(columns * width, rows * height), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    panels = list(figure.subplots(rows, columns, squeeze=False).ravel())
     for axes in panels[len(titles) :]:
         axes.remove()
-    for axes, title in zip(panels, titles, strict=False):
+    for place, (axes, title) in enumerate(zip(panels, titles, strict=False)):
         axes.set_title(title)
         axes.grid(axis="y", alpha=0.3, linewidth=0.5)
         axes.spines[["top", "right"]].set_visible(False)
-    return figure, list(panels[: len(titles)])
+        if place % columns == 0:
+            axes.set_ylabel(beside)
+        if place + columns >= len(titles):
+            axes.set_xlabel(below)
+    return figure, panels[: len(titles)]

@@ -15,7 +15,7 @@ from mapg_jax.training import agent_shapes
 
 
 class Policy:
-    """Draws one of the M proposed actions, as the paper does in evaluation too.
+    """Draws one of the M proposed actions, as the paper does in evaluation too; A3C samples.
 
     Actions are float32 NumPy arrays in Gymnasium's units. An observation is [D] or [N, D].
     """
@@ -81,10 +81,12 @@ def load_policy(path: str | os.PathLike, seed: int = 0, select: heads.Select = "
     Args:
       path: the run folder.
       seed: of the policy's own random stream.
-      select: how one action is made of the M proposals: uniform, argmax-q, mean or first.
+      select: how one action is made of the M proposals: uniform, argmax-q, mean or first; of
+        A3C's Gaussian: uniform (a sample) or mean.
 
     Raises:
-      ValueError: if the folder holds no run, or no complete checkpoint.
+      ValueError: if the folder holds no run, or no complete checkpoint, or its algorithm cannot
+        select so.
     """
     folder = RunFolder.open(path)
     config = folder.config

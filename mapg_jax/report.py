@@ -145,20 +145,19 @@ def write(blocks: Sequence[Block], runs: Runs, out: pathlib.Path) -> None:
 def _pictures(results: Sequence[Result], runs: Runs, suffix: str) -> list[Block]:
     blocks: list[Block] = []
     curves: dict[str, dict[str, list]] = {}
-    scores: dict[str, dict[str, list]] = {}
+    scores: dict[str, dict[int, list]] = {}
     for (env, arm), of_cell in by_cell(results).items():
         known = [runs.curves[identity(r)] for r in of_cell if identity(r) in runs.curves]
         if known:
             curves.setdefault(env, {})[arm.name] = known
         if arm.algorithm != "a3c" and not arm.settings:
-            scores.setdefault(env, {})[str(arm.heads)] = [[r.return_mean] for r in of_cell]
+            scores.setdefault(env, {})[arm.heads] = [[r.return_mean] for r in of_cell]
     if curves:
         text = "Learning curves: mean over n seeds, bands 95 % intervals over seeds (bootstrap)."
         blocks.append(Picture(plotting.draw_curves(curves), f"curves{suffix}", text))
-    scores = {env: over_m for env, over_m in scores.items() if len(over_m) > 1}
-    if scores:
-        text = (
-            "Score over M: a dot a seed; boxes are quartiles and median over seeds. M = 1 is DDPG."
-        )
-        blocks.append(Picture(plotting.draw_boxes(scores), f"scores{suffix}", text))
+    heads = sorted({m for over_m in scores.values() for m in over_m})
+    if len(heads) > 1:
+        boxes = {env: {str(m): of.get(m, []) for m in heads} for env, of in scores.items()}
+        text = "Score over M: a dot a seed; from five seeds on, a box with quartiles and median."
+        blocks.append(Picture(plotting.draw_boxes(boxes), f"scores{suffix}", text))
     return blocks

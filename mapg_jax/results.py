@@ -22,6 +22,7 @@ from mapg_jax.run_folder import RunFolder
 from mapg_jax.tracking import read_metrics
 
 COLUMNS_OF_THEIR_OWN = {"env", "algorithm", "heads", "seed", "steps"}
+ALGORITHMS = ("ddpg", "mapg", "a3c")
 HOST_ONLY = {"evaluate_every", "evaluation_episodes", "final_episodes", "checkpoint_seconds",
              "checkpoints_kept"}  # fmt: skip
 COMPARED = {"gradient", "target", "noise", "noise_scale", "noise_scale_last"}
@@ -191,7 +192,8 @@ def merge(results: Iterable[Result]) -> list[Result]:
             raise ValueError(
                 f"two runs of {result.env}, {result.algorithm}, M = {result.heads}, "
                 f"seed {result.seed}, {result.steps:,} steps have other scores: "
-                f"{other.return_mean:.6g} and {result.return_mean:.6g}; leave one out"
+                f"{other.return_mean:.6g} of {other.date} and {result.return_mean:.6g} of "
+                f"{result.date}; leave one out"
             )
     return list(kept.values())
 
@@ -248,7 +250,11 @@ def _parse(row: Sequence[str], where: str) -> Result:
                 values.append(_finite(text) if text or hint is float else None)
         except ValueError:
             raise ValueError(f"{where}: {name} is no number: {text!r}") from None
-    return Result(*values)
+    result = Result(*values)
+    if result.algorithm not in ALGORITHMS:
+        known = ", ".join(ALGORITHMS)
+        raise ValueError(f"{where}: algorithm must be one of {known}, got {result.algorithm!r}")
+    return result
 
 
 def _metrics(folder: RunFolder) -> list[dict[str, float]]:

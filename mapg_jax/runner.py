@@ -34,10 +34,13 @@ def prepare(*configs: Config) -> Lockstep:
     needed, available = program.bytes, available_bytes()
     if needed > available:
         together = f"{len(configs)} runs in lockstep need" if len(configs) > 1 else "the run needs"
+        what, remedy = "", "fewer --environments"
+        if program.trainer.config.algorithm == "mapg":
+            what = f", of which the replay of {replay_size:,} transitions is the most,"
+            remedy = "a smaller --replay-size"
         raise ValueError(
-            f"{together} {needed / 1e9:.1f} GB, of which the replay of "
-            f"{replay_size:,} transitions is the most, but {available / 1e9:.1f} GB "
-            "are available; choose a smaller --replay-size"
+            f"{together} {needed / 1e9:.1f} GB{what} but {available / 1e9:.1f} GB are available; "
+            f"choose {remedy}"
         )
     return program
 

@@ -13,7 +13,6 @@ from mapg_jax.grouping import Group
 from mapg_jax.run_folder import RunFolder
 from mapg_jax.worker import failure_file
 
-
 # The process of a sweep only asks a GPU for its size; its workers need the memory, and have it as
 # the user says.
 _NAME = "XLA_PYTHON_CLIENT_PREALLOCATE"

@@ -51,7 +51,9 @@ def workplace(tmp_path, finished_run):
     shutil.copytree(finished_run.path, tmp_path / "run")
     (tmp_path / "file").write_text("in the way")
     (tmp_path / "empty").mkdir()
+    (tmp_path / "table.csv").write_text("a,b\n1,2\n")
     RunFolder.create(tmp_path / "fresh", oracles.RUN)
+    oracles.finished_run(oracles.RUN, tmp_path / "scored", [1.0, 2.0])
     text = (tmp_path / "run" / "config.json").read_text()
     for name, damaged in {
         "torn": text[: len(text) // 2],
@@ -99,6 +101,14 @@ REFUSALS = [
     ("evaluate run --physics native", "pendulum has no engine 'native'; it has jax"),
     ("evaluate run --physics bullet", "bullet"),
     ("evaluate run --episodes 0", "episodes must be at least 1, got 0"),
+    ("report nowhere", "there is no nowhere"),
+    ("report empty", "there are no runs in empty"),
+    ("report file", "file is neither a run folder, a folder of them nor a CSV of results"),
+    ("report torn", "torn/config.json is damaged"),
+    ("report fresh --out pictures", "no run in fresh is finished (1 are not)"),
+    ("report table.csv", "table.csv is no CSV of results: its columns are a,b, not env,algorithm"),
+    ("report scored --out file", "file cannot be made: File exists"),
+    ("report", "name a run folder, a folder of them or a CSV file of results"),
     (
         "evaluate run --seed -1 --physics gymnasium",
         "seed must be at least 0",
@@ -157,6 +167,23 @@ def test_train_then_resume_then_evaluate(mapg, tmp_path):
     status, out, _ = mapg("evaluate", "runs/mine", "--episodes", 5)
     assert status == 0
     assert f"{record['mean']:.1f}" in out
+
+
+def test_a3c_trains_resumes_and_is_scored(mapg, tmp_path):
+    status, out, err = mapg("train", "--preset", "smoke", "--algorithm", "a3c")
+    assert status == 0, err
+    assert "run folder:     runs/pendulum-a3c-1" in out
+    status, _, err = mapg("resume", "runs/pendulum-a3c-1", "--steps", 3_000)
+    assert status == 0, err
+    status, out, _ = mapg("evaluate", "runs/pendulum-a3c-1", "--select", "mean", "--json")
+    assert status == 0
+    record = json.loads(out)
+    assert (record["select"], record["spread"], record["q_gap"]) == ("mean", 0, 0)
+    before = contents(tmp_path)
+    status, out, err = mapg("evaluate", "runs/pendulum-a3c-1", "--select", "argmax-q")
+    assert (status, out) == (2, "")
+    assert err == "mapg: select must be one of uniform, mean, got 'argmax-q'\n"
+    assert contents(tmp_path) == before
 
 
 def test_a_diverging_run_exits_1(mapg, tmp_path):

@@ -44,6 +44,10 @@ from mapg_jax.config import PRESETS, Config
         ({"max_gradient_norm": 0.0}, "max_gradient_norm must be above 0, got 0.0"),
         ({"noise_scale": -0.2}, "noise_scale must be at least 0, got -0.2"),
         ({"noise_scale_last": -0.2}, "noise_scale_last must be at least 0, got -0.2"),
+        ({"a3c_rollout_steps": 0}, "a3c_rollout_steps must be at least 1, got 0"),
+        ({"a3c_entropy_weight": -1.0}, "a3c_entropy_weight must be at least 0, got -1.0"),
+        ({"a3c_actor_learning_rate": 0.0}, "a3c_actor_learning_rate must be above 0, got 0.0"),
+        ({"a3c_max_gradient_norm": 0.0}, "a3c_max_gradient_norm must be above 0, got 0.0"),
         ({"time_limit": 0}, "time_limit must be at least 1, got 0"),
         ({"evaluate_every": 0}, "evaluate_every must be at least 1, got 0"),
         ({"checkpoint_seconds": 0.0}, "checkpoint_seconds must be above 0, got 0.0"),
@@ -59,6 +63,7 @@ def test_nonsense_is_refused_with_the_numbers(changes, message):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"algorithm": "ppo"}, "algorithm must be one of mapg, a3c, got 'ppo'"),
         ({"gradient": "al"}, "gradient must be one of stored, resampled, all, got 'al'"),
         ({"target": "max"}, "target must be one of mean, sampled, got 'max'"),
         ({"truncation": "end"}, "truncation must be one of bootstrap, terminal, got 'end'"),

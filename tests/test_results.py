@@ -174,6 +174,10 @@ BAD_ROWS = [
         ",".join(Result._fields) + "\n" + ",".join(["1"] * 5 + ["nan"] + ["1"] * 12),
         "row 2: return_mean is no number: 'nan'",
     ),
+    (
+        ",".join(Result._fields) + "\n" + ",".join(["1"] * 18),
+        "row 2: algorithm must be one of ddpg, mapg, a3c, got '1'",
+    ),
     ('"a', "is no CSV"),
 ]
 

@@ -7,11 +7,13 @@ import pytest
 
 from experiments import claims, curves, fig2, fig3, overhead, paper, rows, scores
 from experiments.plan import A3C, DDPG, DRIVING, MAPG, NO_NOISE, make_plan
+from mapg_jax import statistics
 from mapg_jax.results import Result, append_csv
 
 
 @pytest.fixture
-def plan(tmp_path):
+def plan(tmp_path, monkeypatch):
+    monkeypatch.setattr(statistics, "RESAMPLES", 500)  # arms here are far apart
     return make_plan("paper", 1000, 5, tmp_path / "runs", tmp_path / "results")
 
 
@@ -72,7 +74,7 @@ def test_the_score_over_m(plan, slope, expected):
         for m in (1, *plan.heads):
             write(plan, env, {"heads": m}, spread(100 * slope * m, 3))
     assert claims.c2a(plan).verdict == expected
-    assert f"hopper {slope:.2f}" in claims.c2a(plan).evidence or slope < 0
+    assert "n of M = 1: 3, M = 5: 3" in claims.c2a(plan).evidence
 
 
 def test_noise_arms_are_told_apart(plan):
