@@ -18,7 +18,7 @@ from mapg_jax.grouping import (
 from mapg_jax.run_folder import RunFolder
 from mapg_jax.signals import StoppedError, caught_signals
 from mapg_jax.sweep_table import SweepTable
-from mapg_jax.workers import Worker, own_cores, shares
+from mapg_jax.workers import Worker, leave_the_memory_to_workers, own_cores, shares
 
 POLL_SECONDS = 0.5
 
@@ -91,6 +91,7 @@ def make_plan(
     keep_replay: bool = False,
 ) -> Plan:
     """What is missing, in groups, and how many processes will do it; see `run_all`."""
+    leave_the_memory_to_workers()
     jobs = [job for job in unique_jobs(runs) if not _finished(job)]
     waiting = groups(jobs, group)
     count = workers_that_fit(waiting, workers)

@@ -13,6 +13,16 @@ from mapg_jax.grouping import Group
 from mapg_jax.run_folder import RunFolder
 from mapg_jax.worker import failure_file
 
+# The process of a sweep only asks a GPU for its size; its workers need the memory, and have it as
+# the user says.
+_NAME = "XLA_PYTHON_CLIENT_PREALLOCATE"
+_PREALLOCATION = {_NAME: os.environ.get(_NAME, "true")}
+
+
+def leave_the_memory_to_workers() -> None:
+    """To be called before JAX first looks for a device."""
+    os.environ[_NAME] = "false"
+
 
 class Worker:
     """A process that does one group."""
@@ -64,7 +74,9 @@ class Worker:
         for folder in self.folders:
             if not is_finished(folder):
                 file = failure_file(folder.path)
-                reasons[folder.path] = file.read_text().strip() if file.exists() else last
+                if not file.exists():
+                    file.write_text(f"{last}\n")
+                reasons[folder.path] = file.read_text().strip()
         return reasons
 
 
@@ -92,7 +104,7 @@ def _open(config, path: pathlib.Path) -> RunFolder:
 
 def _environment() -> dict[str, str]:
     """One thread of XLA a process, and the cache of compiled programs that this one has."""
-    ours = {"NPROC": "1"}
+    ours = {"NPROC": "1", **_PREALLOCATION}
     if jax.config.jax_compilation_cache_dir:
         seconds = jax.config.jax_persistent_cache_min_compile_time_secs
         ours["JAX_COMPILATION_CACHE_DIR"] = str(jax.config.jax_compilation_cache_dir)
