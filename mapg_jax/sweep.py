@@ -58,13 +58,15 @@ def run_all(
                 for worker in pool.start():
                     table.started(worker.folders)
                 for worker in pool.ended():
-                    if worker.crashed() and pool.retry_each(worker):
-                        table.cut(worker.folders)
-                        continue
                     failures = worker.failures()
                     for folder in worker.folders:
-                        table.ended(folder, failures.get(folder.path))
-                        if folder.path not in failures and on_finished:
+                        failure = failures.get(folder.path)
+                        if failure and worker.crashed() and len(worker.group) > 1:
+                            pool.add(Job(folder.config, folder.path))
+                            table.retried(folder, failure)
+                            continue
+                        table.ended(folder, failure)
+                        if not failure and on_finished:
                             on_finished(folder)
                 table.update()
                 time.sleep(POLL_SECONDS)
@@ -128,12 +130,9 @@ class _Pool:
             self._free.append(list(worker.cores))
         return ended
 
-    def retry_each(self, worker: Worker) -> bool:
-        """Cuts a group that crashed into its runs, one of which may be at fault; False of one."""
-        if len(worker.group) == 1:
-            return False
-        self._waiting[:0] = [(job,) for job in worker.group if not _finished(job)]
-        return True
+    def add(self, job: Job) -> None:
+        """A run of a group that crashed is tried by itself, since another may be at fault."""
+        self._waiting.append((job,))
 
     def stop(self) -> None:
         """All workers save and end."""

@@ -10,7 +10,7 @@ import rich.console
 import rich.live
 import rich.table
 
-from mapg_jax.grouping import Group
+from mapg_jax.grouping import Group, Job
 from mapg_jax.run_folder import RunFolder
 from mapg_jax.tracking import read_metrics
 
@@ -44,11 +44,11 @@ class SweepTable:
             self._active[folder.path] = folder
             self._say(f"{folder.path.name}: under way")
 
-    def cut(self, folders: Sequence[RunFolder]) -> None:
-        """A group has failed as a whole, and its runs are tried one by one."""
-        for folder in folders:
-            del self._active[folder.path]
-        self._say(f"{folders[0].path.name} and its group: failed together, now one by one")
+    def retried(self, folder: RunFolder, failure: str) -> None:
+        """The group of a run has failed, and the run is tried by itself."""
+        del self._active[folder.path]
+        self._groups[folder.path] = (Job(folder.config, folder.path),)
+        self._say(f"{folder.path.name}: its group failed, to be tried by itself: {failure}")
 
     def ended(self, folder: RunFolder, failure: str | None) -> None:
         """A run is finished, or has failed."""
