@@ -34,8 +34,8 @@ HEAD = """# Results
 
 Every number and picture here was written by a command; how runs are made and claims judged was
 fixed beforehand, in [experiments/protocol.md](../experiments/protocol.md). What is not there yet is
-shown as missing. Scores of all runs:
-[scores.csv](scores.csv); learning curves: [curves.csv](curves.csv)."""
+shown as missing. Scores of all runs: [scores.csv](scores.csv); learning curves:
+[curves.csv](curves.csv)."""
 
 
 def make(
