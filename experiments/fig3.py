@@ -1,5 +1,4 @@
-"""Figure 3: spread of the ten actions and angle within an episode of Pendulum, from hanging "
-"down."""
+"""Figure 3: spread of the actions and angle within an episode of Pendulum, from hanging down."""
 
 import functools
 from collections.abc import Sequence

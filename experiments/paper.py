@@ -79,8 +79,7 @@ def refuse_other_protocols(plan: Plan) -> None:
 
 
 def experiment(name: Name):
-    """The module of an experiment: `runs(plan)`, `section(plan)`, and perhaps `measure` and "
-    "`time_arms`."""
+    """A module with `runs(plan)`, `section(plan)`, and perhaps `measure` and `time_arms`."""
     return importlib.import_module(f"experiments.{name}")
 
 
