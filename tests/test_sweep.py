@@ -8,11 +8,12 @@ import signal
 import subprocess
 import sys
 import time
+from typing import ClassVar
 
 import oracles
 import pytest
 
-from mapg_jax import cli, grouping, sweep
+from mapg_jax import cli, grouping, sweep, sweep_table
 from mapg_jax.config import Config
 from mapg_jax.finishing import is_finished
 from mapg_jax.grouping import Job, groups, workers_that_fit
@@ -148,6 +149,46 @@ def shorten(out: pathlib.Path, names: list[str], steps: int) -> None:
     """Rewrites a sweep's number of steps, in its grid and in its runs."""
     for file in (out / "sweep.json", *(out / name / "config.json" for name in names)):
         file.write_text(file.read_text().replace('"steps": 200000', f'"steps": {steps}'))
+
+
+class CrashingTogether(Worker):
+    """A worker that ends at once: a group of several crashes, and one named bad fails alone too."""
+
+    started: ClassVar[list[list[str]]] = []
+
+    def __init__(self, group, cores, keep_replay):
+        self.group, self.cores = group, cores
+        self.folders = [RunFolder(path, config) for config, path in group]
+        self.started.append([path.name for _, path in group])
+
+    def running(self):
+        return False
+
+    def wait(self):
+        pass
+
+    stop = wait
+
+    def crashed(self):
+        return len(self.group) > 1 or self.group[0].path.name == "bad"
+
+    def failures(self):
+        return {job.path: "why" for job in self.group if self.crashed() and job.path.name != "one"}
+
+
+def test_a_group_that_crashes_is_cut_into_its_runs(tmp_path, monkeypatch):
+    """The run that had finished before the crash is not tried again."""
+    monkeypatch.setattr(sweep, "Worker", CrashingTogether)
+    monkeypatch.setattr(sweep, "POLL_SECONDS", 0.0)
+    monkeypatch.setattr(sweep_table, "read_metrics", lambda path: [{"return_mean": 0.0}])
+    monkeypatch.setattr(sweep_table, "_pace", lambda folder: None)
+    names = ("one", "bad", "good")
+    runs = [(dataclasses.replace(RUN, seed=k), tmp_path / n) for k, n in enumerate(names)]
+    told = []
+    failures = sweep.run_all(runs, group="all", on_finished=lambda f: told.append(f.path.name))
+    assert CrashingTogether.started == [["one", "bad", "good"], ["bad"], ["good"]]
+    assert failures == [f"{tmp_path / 'bad'}: why"]
+    assert told == ["one", "good"]
 
 
 # ----- groups, workers, memory and disk
