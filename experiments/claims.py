@@ -148,7 +148,7 @@ def c5b(plan: Plan) -> Verdict:
 
 
 def c6a(plan: Plan) -> Verdict:
-    shares = [r.lap_share for r in scores.of(plan, torcs.arm(plan, MAPG))]
+    shares = _lap_shares(plan, MAPG)
     most = len(shares) / 2
     verdict = UNDECIDED
     if len(shares) >= statistics.LEAST_SEEDS:
@@ -160,7 +160,7 @@ def c6a(plan: Plan) -> Verdict:
 
 
 def c6b(plan: Plan) -> Verdict:
-    shares = [r.lap_share for r in scores.of(plan, torcs.arm(plan, DDPG))]
+    shares = _lap_shares(plan, DDPG)
     verdict = UNDECIDED
     if len(shares) >= statistics.LEAST_SEEDS:
         if max(shares) == 0:
@@ -235,6 +235,12 @@ def _over_tasks(sides: Sequence[str], wide_sides: Sequence[str], claimed: str) -
     return CONTRADICTED if opposite in wide_sides else UNDECIDED
 
 
-def _shares(shares: Sequence[float | None]) -> str:
-    listed = ", ".join(f"{share:.0%}" for share in shares if share is not None)
+def _lap_shares(plan: Plan, changes: Changes) -> list[float]:
+    """Of every seed, the share of the episodes that complete a lap."""
+    found = scores.of(plan, torcs.arm(plan, changes))
+    return [result.lap_share for result in found if result.lap_share is not None]
+
+
+def _shares(shares: Sequence[float]) -> str:
+    listed = ", ".join(f"{share:.0%}" for share in shares)
     return f"episodes with a lap, by seed: {listed or 'missing'}"

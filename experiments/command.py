@@ -3,7 +3,6 @@
 import dataclasses
 import pathlib
 import sys
-import typing
 from typing import Literal, TextIO
 
 import tyro
@@ -21,7 +20,7 @@ class Paper:
     Example: mapg paper table2 --seeds 3
     """
 
-    name: tyro.conf.Positional[Literal[paper.Name, "all"]]
+    name: tyro.conf.Positional[paper.Name | Literal["all"]]
     """Of the experiment; all of them share their runs."""
     steps: int | None = None
     """Environment steps a run; by default the preset's, 2,000,000."""
@@ -38,7 +37,7 @@ class Paper:
 
     def run(self, out: TextIO) -> None:
         plan = refuse_politely(self._plan)
-        names = list(typing.get_args(paper.Name)) if self.name == "all" else [self.name]
+        names: list[paper.Name] = list(paper.TITLES) if self.name == "all" else [self.name]
         page, failures = refuse_politely(
             lambda: paper.make(plan, names, training=self.train, workers=self.workers)
         )

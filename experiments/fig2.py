@@ -52,6 +52,8 @@ def statistics_by_seed(plan: Plan) -> dict[str, list[float]]:
         if len(spread) < 4 or not later.min() > 0:
             continue
         for name, other in (("step", curve["env_steps"]), ("return", curve["return_mean"])):
-            found[f"spread with {name}"].append(float(scipy.stats.spearmanr(spread, other)[0]))
+            found[f"spread with {name}"].append(
+                float(scipy.stats.spearmanr(spread, other).statistic)
+            )
         found["spikes"].append(float(later.max() / np.median(later)))
     return found

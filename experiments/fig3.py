@@ -1,7 +1,7 @@
-"""Figure 3: spread of the ten actions and angle within an episode of Pendulum, from hanging "
-"down."""
+"""Figure 3: spread of the actions and angle within an episode of Pendulum, from hanging down."""
 
 import functools
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -93,7 +93,7 @@ def section(plan: Plan) -> str:
     )
 
 
-def draw(bins: list[rows.Row], episode: list[rows.Row]):
+def draw(bins: Sequence[rows.Row], episode: Sequence[rows.Row]):
     """Spread by angle, all seeds; angle and spread over one episode."""
     from matplotlib.figure import Figure  # slow to import
 

@@ -1,8 +1,9 @@
 """Figure 4: DDPG and MAPG during training, with and without exploration noise (C5)."""
 
-from experiments import rows, scores
+from experiments import curves, rows, scores
 from experiments.plan import DDPG, MAPG, NO_NOISE, Plan
 from mapg_jax.config import Config
+from mapg_jax.plotting import draw_curves
 
 ENVS = ("pendulum", "halfcheetah")
 ARMS = {

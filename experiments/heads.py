@@ -1,21 +1,15 @@
-"""The heads: their Q-gap over training, the rules of gradient and target, the choice at test "
-"time."""
-
-import typing
+"""The heads: their Q-gap, the rules of gradient and target, the choice at test time (C8)."""
 
 import numpy as np
 
-from experiments import curves, rows, scores
+from experiments import curves, rows, scores, selects
 from experiments.plan import MAPG, RULES, Plan
 from mapg_jax.config import Config
-from mapg_jax.heads import Select
 from mapg_jax.plotting import draw_curves
 from mapg_jax.run_folder import RunFolder
-from mapg_jax.scoring import score
 
 ENVS = ("pendulum", "halfcheetah")
 """Where the rules are compared."""
-SELECTS = "selects.csv"
 
 
 def runs(plan: Plan) -> list[Config]:
@@ -39,16 +33,7 @@ def gap_runs(plan: Plan) -> list[Config]:
 
 def measure(plan: Plan, folder: RunFolder) -> None:
     """Scores the last policy of M = 10 by every way to choose among its proposals."""
-    key = rows.identity(folder.config)
-    if rows.holds(plan.results / SELECTS, key):
-        return
-    new = []
-    for select in typing.get_args(Select):
-        if select != "first":
-            record = score(folder, folder.config.final_episodes, select=select)
-            numbers = {"return_mean": record["mean"], "return_std": record["std"]}
-            new.append({**key, "select": select, **numbers, "episodes": record["episodes"]})
-    rows.append(plan.results / SELECTS, new)
+    selects.measure(plan, folder, selects.HEADS)
 
 
 def section(plan: Plan) -> str:
@@ -95,13 +80,9 @@ def rule_table(plan: Plan) -> str:
 
 def select_table(plan: Plan) -> str:
     """Mean score of the same policies by the choice among their proposals."""
-    selects = [select for select in typing.get_args(Select) if select != "first"]
-    lines = [f"| task | {' | '.join(selects)} |", "|---|" + "---|" * len(selects)]
+    lines = [f"| task | {' | '.join(selects.HEADS)} |", "|---|" + "---|" * len(selects.HEADS)]
     for env in (*plan.tasks, "pendulum"):
-        found = rows.of(plan.results / SELECTS, plan.over_seeds(env, **MAPG))
-        cells = [
-            scores.summary([float(r["return_mean"]) for r in found if r["select"] == select])
-            for select in selects
-        ]
+        of_env = plan.over_seeds(env, **MAPG)
+        cells = [scores.summary(selects.means(plan, of_env, s)) for s in selects.HEADS]
         lines.append(f"| {env} | {' | '.join(cells)} |")
     return "\n".join(lines)

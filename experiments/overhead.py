@@ -15,7 +15,7 @@ from mapg_jax.config import Config
 from mapg_jax.training import TrainState, make_trainer
 
 ROUNDS = 9
-SECONDS = 2.0  # of each arm in a round
+SECONDS = 1.0  # of each arm in a round
 TIMES = "overhead.csv"
 
 

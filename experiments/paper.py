@@ -7,7 +7,7 @@ import pathlib
 from collections.abc import Sequence
 from typing import Literal
 
-from experiments import curves, rows, scores
+from experiments import claims, curves, rows, scores, table2
 from experiments.plan import Plan, in_order
 from mapg_jax.config import Config
 from mapg_jax.results import UnfinishedError, read_run
@@ -34,8 +34,8 @@ HEAD = """# Results
 
 Every number and picture here was written by a command; how runs are made and claims judged was
 fixed beforehand, in [experiments/protocol.md](../experiments/protocol.md). What is not there yet is
-shown as missing. Scores of all runs:
-[scores.csv](scores.csv); learning curves: [curves.csv](curves.csv)."""
+shown as missing. Scores of all runs: [scores.csv](scores.csv); learning curves:
+[curves.csv](curves.csv)."""
 
 
 def make(
@@ -67,18 +67,19 @@ def make(
 
 def refuse_other_protocols(plan: Plan) -> None:
     """Results of other runs would be averaged with these, or hide them."""
+    settings = {rows.identity(config)["settings"] for config in runs(plan, list(TITLES))}
     for result in scores.read_csv(scores.path(plan)):
-        key = rows.identity_of(result)
-        if key["steps"] != str(plan.base.steps):
-            raise ValueError(
-                f"{plan.results} holds runs of {result.steps:,} steps, and these have "
-                f"{plan.base.steps:,}; choose another --out"
-            )
+        if result.steps != plan.base.steps:
+            theirs = f"{result.steps:,} steps, and these have {plan.base.steps:,}"
+        elif result.settings not in settings:
+            theirs = f"other settings ({result.settings or 'those of the preset paper'})"
+        else:
+            continue
+        raise ValueError(f"{plan.results} holds runs of {theirs}; choose another --out")
 
 
 def experiment(name: Name):
-    """The module of an experiment: `runs(plan)`, `section(plan)`, and perhaps `measure` and "
-    "`time_arms`."""
+    """A module with `runs(plan)`, `section(plan)`, and perhaps `measure` and `time_arms`."""
     return importlib.import_module(f"experiments.{name}")
 
 
@@ -130,7 +131,24 @@ def write_page(plan: Plan) -> pathlib.Path:
     ]
     page = plan.results / PAGE
     page.write_text("\n\n".join([HEAD, *sections]) + "\n")
+    if plan.results == pathlib.Path("results"):  # the project's own, and its README's tables
+        write_headline(plan, pathlib.Path("README.md"))
     return page
+
+
+def write_headline(plan: Plan, readme: pathlib.Path) -> None:
+    """Puts Table 2 and the verdicts where the project's README has its comments for them."""
+    verdicts = ["| | claim | verdict |", "|---|---|---|"]
+    verdicts += [f"| {v.claim} | {v.text} | {v.verdict} |" for v in claims.ledger(plan)]
+    tables = {"table 2": table2.beside_the_paper(plan), "claims": "\n".join(verdicts)}
+    if readme.exists():
+        text = readme.read_text()
+        for name, table in tables.items():
+            begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+            before, found, rest = text.partition(begin)
+            if found and end in rest:
+                text = f"{before}{begin}\n{table}\n{end}{rest.partition(end)[2]}"
+        readme.write_text(text)
 
 
 def provenance(plan: Plan, name: Name) -> str:

@@ -93,7 +93,7 @@ def in_order(plan: Plan, wanted: Iterable[Config]) -> list[Config]:
         # Seed 0 of the core, the rest of seed 0, the core seed by seed, the rest seed by seed.
         stage = (0 if core else 1) if first else (2 if core else 3)
         slow = config.env == "humanoid"
-        return stage, config.seed, slow, config.env, config.heads
+        return stage, config.seed, slow, config.env, config.heads, name(config, plan.base)
 
     return sorted(dict.fromkeys(wanted), key=rank)
 

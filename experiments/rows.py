@@ -58,7 +58,7 @@ def append(path: pathlib.Path, new: Sequence[Row]) -> None:
 def of(path: pathlib.Path, runs: Sequence[Config]) -> list[dict[str, str]]:
     """The rows of those runs."""
     keys = [identity(config) for config in runs]
-    return [row for row in read(path) if {k: row[k] for k in keys[0]} in keys]
+    return [row for row in read(path) if {k: row[k] for k in COLUMNS} in keys]
 
 
 def missing(runs: Sequence[Config]) -> str:

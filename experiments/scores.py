@@ -34,7 +34,7 @@ def means(plan: Plan, runs: Sequence[Config]) -> np.ndarray:
     return np.array([result.return_mean for result in of(plan, runs)])
 
 
-def summary(values: Sequence[float]) -> str:
+def summary(values: Sequence[float] | np.ndarray) -> str:
     """Mean, and Student's interval where there are seeds enough."""
     if not len(values):
         return "missing"

@@ -4,10 +4,11 @@ import pathlib
 
 import numpy as np
 
-from experiments import rows, scores
-from experiments.plan import Plan
+from experiments import rows, scores, selects
+from experiments.plan import A3C, Plan
 from mapg_jax.config import Config
 from mapg_jax.report import arms_table
+from mapg_jax.run_folder import RunFolder
 
 PAPER = pathlib.Path(__file__).with_name("paper_table2.csv")
 """Mean and 3σ over the 100 episodes of one run: the paper's Table 2, which has no M = 5."""
@@ -22,6 +23,12 @@ def runs(plan: Plan) -> list[Config]:
     ]
 
 
+def measure(plan: Plan, folder: RunFolder) -> None:
+    """Scores A3C by its mean action too: the protocol's score samples, as it acts in training."""
+    if folder.config.algorithm == "a3c":
+        selects.measure(plan, folder, ["mean"])
+
+
 def section(plan: Plan) -> str:
     """Ours beside the paper's; then the same scores with their uncertainty over seeds."""
     found = scores.of(plan, runs(plan))
@@ -33,10 +40,21 @@ def section(plan: Plan) -> str:
             "of both over n seeds. The paper's tasks are the v1 of 2017, ours Gymnasium's v5; "
             "Humanoid has 348 dimensions here (the paper's 376 less 28 zeros).",
             beside_the_paper(plan),
+            "A3C acts by samples of its Gaussian, as in training; by its mean: "
+            f"{mean_action(plan)}.",
             "The same scores with their uncertainty over seeds (docs/report.md):",
             arms_table(found),
         )
     )
+
+
+def mean_action(plan: Plan) -> str:
+    """A3C's scores without sampling, task by task."""
+    texts = []
+    for env in plan.tasks:
+        values = selects.means(plan, plan.over_seeds(env, **A3C), "mean")
+        texts.append(f"{env} {scores.summary(values)}")
+    return "; ".join(texts)
 
 
 def beside_the_paper(plan: Plan) -> str:

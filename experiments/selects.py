@@ -1,0 +1,33 @@
+"""Scores of last policies by other choices of the action than that of the protocol."""
+
+from collections.abc import Sequence
+
+from experiments import rows
+from experiments.plan import Plan
+from mapg_jax.config import Config
+from mapg_jax.heads import Select
+from mapg_jax.run_folder import RunFolder
+from mapg_jax.scoring import score
+
+FILE = "selects.csv"
+HEADS: tuple[Select, ...] = ("uniform", "argmax-q", "mean")
+"""Choices among several proposals."""
+
+
+def measure(plan: Plan, folder: RunFolder, selects: Sequence[Select]) -> None:
+    """Adds the scores of a run by each of these choices."""
+    key = rows.identity(folder.config)
+    if rows.holds(plan.results / FILE, key):
+        return
+    new = []
+    for select in selects:
+        record = score(folder, folder.config.final_episodes, select=select)
+        numbers = {"return_mean": record["mean"], "return_std": record["std"]}
+        new.append({**key, "select": select, **numbers, "episodes": record["episodes"]})
+    rows.append(plan.results / FILE, new)
+
+
+def means(plan: Plan, runs: Sequence[Config], select: Select) -> list[float]:
+    """Those of the runs that have been scored so."""
+    found = rows.of(plan.results / FILE, runs)
+    return [float(row["return_mean"]) for row in found if row["select"] == select]

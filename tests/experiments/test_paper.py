@@ -1,0 +1,117 @@
+"""The experiments from end to end, in their smallest form."""
+
+import json
+
+import numpy as np
+import pytest
+
+from experiments import overhead, paper, rows, scores
+from experiments.plan import A3C, MAPG, NO_NOISE, Plan, in_order, make_plan, name
+from mapg_jax.config import PRESETS
+
+NAMES: list[paper.Name] = ["table2", "fig2", "fig3"]
+
+
+def small(folder, seeds=1) -> Plan:
+    plan = make_plan("smoke", 320, seeds, folder / "runs", folder / "results")
+    return plan._replace(tasks=("pendulum",), heads=(10,))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A plan whose runs are trained: DDPG, A3C and M = 10 of Pendulum."""
+    plan = small(tmp_path_factory.mktemp("paper"))
+    _, failures = paper.make(plan, NAMES, workers=2)
+    assert failures == []
+    return plan
+
+
+def test_a_command_trains_measures_and_draws(made):
+    found = scores.of(made, paper.runs(made, NAMES))
+    arms = [(r.env, r.algorithm, r.heads) for r in found]
+    assert sorted(arms) == [
+        ("pendulum", "a3c", 1),
+        ("pendulum", "ddpg", 1),
+        ("pendulum", "mapg", 10),
+    ]
+    assert {(r.steps, r.episodes) for r in found} == {(320, 4)}
+    page = (made.results / "README.md").read_text()
+    for picture in ("fig2.png", "fig3.png"):
+        assert f"({picture})" in page
+        assert (made.results / picture).read_bytes().startswith(b"\x89PNG")
+    assert "Made by `mapg paper table2 --seeds 1`: 3 of 3 runs finished, 320 steps each" in page
+
+
+def test_the_score_is_that_of_the_run(made):
+    (config,) = paper.runs(made, ["fig2"])
+    record = json.loads((made.folder(config) / "evaluation.json").read_text())
+    (result,) = scores.of(made, [config])
+    assert (result.return_mean, result.episodes) == (record["mean"], len(record["returns"]))
+
+
+def test_spread_by_angle_counts_every_state(made):
+    bins = rows.of(made.results / "fig3_bins.csv", paper.runs(made, ["fig3"]))
+    assert sum(int(row["states"]) for row in bins) == 100 * 200
+    episode = rows.of(made.results / "fig3_episode.csv", paper.runs(made, ["fig3"]))
+    assert abs(float(episode[0]["angle"])) <= 5  # hanging down
+    assert all(float(row["spread"]) >= 0 for row in episode)
+
+
+def test_results_are_made_again_from_the_run_folders(made, tmp_path):
+    again = made._replace(results=tmp_path)
+    paper.make(again, NAMES, training=False)
+    for file in ("scores.csv", "curves.csv", "selects.csv", "fig3_bins.csv"):
+        old, new = (sorted(rows.read(p.results / file), key=str) for p in (made, again))
+        assert old == new and old, file
+
+
+def test_what_is_in_the_results_is_not_trained_again(made, tmp_path):
+    elsewhere = made._replace(runs=tmp_path)
+    assert paper.train(elsewhere, NAMES, workers=1) == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_other_steps_do_not_mix(made):
+    with pytest.raises(ValueError, match="holds runs of 320 steps, and these have 640"):
+        longer = make_plan("smoke", 640, 1, made.runs, made.results)
+        paper.make(longer, NAMES, training=False)
+
+
+def test_other_presets_do_not_mix(made):
+    other = make_plan("paper", 320, 1, made.runs, made.results)
+    with pytest.raises(ValueError, match="settings"):
+        paper.make(other, NAMES, training=False)
+
+
+def test_overhead_is_timed_in_rounds(tmp_path):
+    plan = small(tmp_path)
+    overhead.time_arms(plan, rounds=2, seconds=0.01)
+    for column in ("seconds_per_step", "seconds_per_update"):
+        ratios = overhead.ratios(plan, column)
+        assert list(ratios) == [1, 10]
+        assert np.array_equal(ratios[1], [1, 1]) and (ratios[10] > 0).all()
+
+
+def test_the_order_does_not_depend_on_the_experiment():
+    plan = Plan(PRESETS["paper"], 2, *[None] * 2)
+    ordered = paper.runs(plan, list(paper.TITLES))
+    assert len(set(ordered)) == len(ordered)
+    folders = [name(config, plan.base) for config in ordered]
+    assert len(set(folders)) == len(folders)
+    first = ordered[:14]
+    assert {c.seed for c in first} == {0} and {c.heads for c in first} == {1, 10}
+    later = folders.index("hopper-ddpg-m1-s1")
+    assert folders.index("humanoid-mapg-m50-s0") < later < folders.index("hopper-mapg-m5-s1")
+    assert in_order(plan, reversed(ordered)) == ordered
+
+
+def test_names_say_what_sets_a_run_apart():
+    plan = Plan(PRESETS["paper"], 1, *[None] * 2)
+    for changes, expected in (
+        ({"heads": 1}, "hopper-ddpg-m1-s0"),
+        (A3C, "hopper-a3c-m1-s0"),
+        ({**MAPG, **NO_NOISE}, "hopper-mapg-m10-none-s0"),
+        ({**MAPG, "gradient": "all"}, "hopper-mapg-m10-all-s0"),
+        ({**MAPG, "target": "sampled"}, "hopper-mapg-m10-sampled-s0"),
+    ):
+        assert name(plan.config("hopper", **changes), plan.base) == expected
