@@ -1,6 +1,7 @@
 """The command line: mapg train | sweep | resume | evaluate | drive | report | envs."""
 
 import dataclasses
+import itertools
 import json
 import os
 import pathlib
@@ -235,7 +236,7 @@ def _parse(arguments: list[str]):
 
 def _named_preset(flags: list[str]) -> str:
     """The value of --preset: the other flags' defaults depend on it. Unknown ones tyro refuses."""
-    for flag, following in zip(flags, [*flags[1:], ""], strict=True):
+    for flag, following in itertools.pairwise([*flags, ""]):
         name, equals, value = flag.partition("=")
         if name == "--preset":
             value = value if equals else following
