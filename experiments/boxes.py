@@ -25,15 +25,15 @@ def runs(plan: Plan, envs: Sequence[str]) -> list[Config]:
 def measure(plan: Plan, folder: RunFolder) -> None:
     """Adds the return of every episode of the score."""
     key = rows.identity(folder.config)
-    if not rows.holds(plan.results / FILE, key):
+    if not rows.holds(plan.measured / FILE, key):
         returns = json.loads(folder.evaluation.read_text())["returns"]
         text = " ".join(f"{x:.6g}" for x in returns)
-        rows.append(plan.results / FILE, [{**key, "returns": text}])
+        rows.append(plan.measured / FILE, [{**key, "returns": text}])
 
 
 def section(plan: Plan, envs: Sequence[str], picture: str) -> str:
     """The picture, and what it shows."""
-    found = rows.of(plan.results / FILE, runs(plan, envs))
+    found = rows.of(plan.measured / FILE, runs(plan, envs))
     if not found:
         return rows.missing(runs(plan, envs))
     figure = draw_boxes(by_task(plan, found, envs), "return of an episode")

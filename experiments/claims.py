@@ -52,19 +52,48 @@ def pairwise(
     claimed: str = "above",
 ) -> Verdict:
     """A claim that one arm scores above (or below) another on every one of several tasks."""
-    sides, wide_sides, evidence = [], [], []
+    tasks = {}
     for env in envs:
         y, x = (scores.means(plan, plan.over_seeds(env, **arm)) for arm in (ours, theirs))
-        if not (len(y) and len(x)):
+        if len(y) and len(x):
+            comparisons = [statistics.compare(y, x, level) for level in _levels(envs)]
+            estimates = [(c.improvement, c.verdict) for c in comparisons]
+            tasks[env] = Task(estimates[0], estimates[1], f"n = {len(y)}, {len(x)}")
+    return over_tasks(claim, text, "P", envs, tasks, claimed)
+
+
+class Task(NamedTuple):
+    """An estimate on one task and its side of the null, at 95 % and at the wider level."""
+
+    narrow: tuple[statistics.Estimate, str]
+    wide: tuple[statistics.Estimate, str]
+    seeds: str
+
+
+def over_tasks(
+    claim: str,
+    text: str,
+    statistic: str,
+    envs: Sequence[str],
+    tasks: Mapping[str, Task],
+    claimed: str,
+) -> Verdict:
+    """Every task must be on the claimed side; one on the other, at the wider level, contradicts."""
+    opposite = {"above": "below", "below": "above"}[claimed]
+    verdict = UNDECIDED
+    if len(tasks) == len(envs) and all(task.narrow[1] == claimed for task in tasks.values()):
+        verdict = SUPPORTED
+    elif any(task.wide[1] == opposite for task in tasks.values()):
+        verdict = CONTRADICTED
+    evidence = []
+    for env in envs:
+        if env in tasks:
+            task = tasks[env]
+            estimate = (task.wide if verdict == CONTRADICTED else task.narrow)[0]
+            evidence.append(f"{env} {_interval(estimate)}, {task.seeds}")
+        else:
             evidence.append(f"{env} missing")
-            sides.append(UNDECIDED)
-            continue
-        wide = statistics.compare(y, x, level=1 - 0.05 / len(envs))
-        sides.append(statistics.compare(y, x).verdict)
-        wide_sides.append(wide.verdict)
-        evidence.append(f"{env} {_interval(wide.improvement)}, n = {len(y)}, {len(x)}")
-    verdict = _over_tasks(sides, wide_sides, claimed)
-    return Verdict(claim, text, "P: " + "; ".join(evidence), verdict)
+    return Verdict(claim, text, f"{statistic}: " + "; ".join(evidence), verdict)
 
 
 def c1(plan: Plan) -> Verdict:
@@ -74,24 +103,19 @@ def c1(plan: Plan) -> Verdict:
 
 def c2a(plan: Plan) -> Verdict:
     """The rank correlation of score with M, on two tasks."""
-    envs = ("hopper", "walker2d")
-    sides, wide_sides, evidence = [], [], []
+    envs, tasks = ("hopper", "walker2d"), {}
     for env in envs:
         groups = {m: scores.means(plan, plan.over_seeds(env, heads=m)) for m in (1, *plan.heads)}
         seeds = min(map(len, groups.values()))
         groups = {m: of_m for m, of_m in groups.items() if len(of_m)}
-        counts = ", ".join(f"M = {m}: {len(x)}" for m, x in groups.items())
         if len(groups) < 2:
-            evidence.append(f"{env} missing")
-            sides.append(UNDECIDED)
             continue
-        for level, into in ((0.95, sides), (1 - 0.05 / len(envs), wide_sides)):
-            estimate = statistics.spearman(groups, level)
-            into.append(statistics.verdict(estimate, 0.0, seeds, level=level))
-        evidence.append(f"{env} {_interval(estimate)}, n of {counts}")
+        estimates = [(statistics.spearman(groups, level), level) for level in _levels(envs)]
+        sides = [(e, statistics.verdict(e, 0.0, seeds, level=level)) for e, level in estimates]
+        counts = ", ".join(f"M = {m}: {len(x)}" for m, x in groups.items())
+        tasks[env] = Task(sides[0], sides[1], f"n of {counts}")
     text = "the score grows with M on Hopper and Walker2d"
-    verdict = _over_tasks(sides, wide_sides, "above")
-    return Verdict("C2a", text, "rank correlation: " + "; ".join(evidence), verdict)
+    return over_tasks("C2a", text, "rank correlation", envs, tasks, "above")
 
 
 def c2b(plan: Plan) -> Verdict:
@@ -112,7 +136,8 @@ def c3(plan: Plan) -> Verdict:
         verdict = CONTRADICTED
     evidence = (
         f"rank correlation of spread with step {_interval(step)}, with return {_interval(reward)}; "
-        f"largest over median spread of the second half {_interval(spikes)}; n = {n}"
+        f"largest over median spread of the second half {_interval(spikes)}; "
+        f"{_count(found['spikes'])}"
     )
     text = "the spread of the actions falls as the return rises, with spikes that stay"
     return Verdict("C3", text, evidence, verdict)
@@ -121,7 +146,9 @@ def c3(plan: Plan) -> Verdict:
 def c4(plan: Plan) -> Verdict:
     spread = {k: np.array(v) for k, v in fig3.spread_by_seed(plan).items()}
     n = len(spread["upright"])
-    peak = _student(np.log(spread["hanging"] / spread["between"]))
+    with np.errstate(divide="ignore", invalid="ignore"):  # no spread, no ratio
+        ratio = np.log(spread["hanging"] / spread["between"])
+    peak = _student(ratio)
     top = _student(spread["upright"])
     sides = [statistics.verdict(peak, 0.0, n), statistics.verdict(top, 0.02, n)]
     verdict = UNDECIDED
@@ -131,7 +158,7 @@ def c4(plan: Plan) -> Verdict:
         verdict = CONTRADICTED
     evidence = (
         f"log ratio of the spread near 0° to that at 30° to 150° {_interval(peak)}; "
-        f"spread beyond 150° {_interval(top)}; n = {n}"
+        f"spread beyond 150° {_interval(top)}; {_count(ratio)}"
     )
     text = "the spread peaks as the pendulum hangs down and stays above 0 upright"
     return Verdict("C4", text, evidence, verdict)
@@ -182,16 +209,15 @@ def c7(plan: Plan) -> Verdict:
 
 
 def c8(plan: Plan) -> Verdict:
-    sides, wide_sides, evidence = [], [], []
+    tasks = {}
     for env in plan.tasks:
         gaps = heads.gap_by_seed(plan, env)
-        for level, into in ((0.95, sides), (1 - 0.05 / len(plan.tasks), wide_sides)):
-            estimate = _student(gaps, level)
-            into.append(statistics.verdict(estimate, 0.1, len(gaps), level=level))
-        evidence.append(f"{env} {_interval(estimate)}, n = {len(gaps)}")
+        if gaps:
+            estimates = [(_student(gaps, level), level) for level in _levels(plan.tasks)]
+            sides = [(e, statistics.verdict(e, 0.1, len(gaps), level=lv)) for e, lv in estimates]
+            tasks[env] = Task(sides[0], sides[1], _count(gaps))
     text = "all proposals of an optimal policy have the same expected return"
-    verdict = _over_tasks(sides, wide_sides, "below")
-    return Verdict("C8", text, "Q-gap over std of Q: " + "; ".join(evidence), verdict)
+    return over_tasks("C8", text, "Q-gap over std of Q", plan.tasks, tasks, "below")
 
 
 def c9(plan: Plan) -> Verdict:
@@ -213,26 +239,30 @@ def ledger(plan: Plan) -> list[Verdict]:
     return [judge(plan) for judge in JUDGES]
 
 
+def _levels(envs: Sequence[str]) -> tuple[float, float]:
+    """Of the intervals: to support a claim, and for one of several tasks to contradict it."""
+    return 0.95, 1 - 0.05 / len(envs)
+
+
 def _interval(estimate: statistics.Estimate) -> str:
     if not np.isfinite(estimate.value):
         return "missing"
     if not np.isfinite(estimate.low):
-        return f"{estimate.value:.2f} (no interval)"
-    return f"{estimate.value:.2f} ({estimate.low:.2f} to {estimate.high:.2f})"
+        return f"{estimate.value:.3g} (no interval)"
+    return f"{estimate.value:.3g} ({estimate.low:.3g} to {estimate.high:.3g})"
 
 
 def _student(values, level: float = 0.95) -> statistics.Estimate:
-    """Over seeds; nan where there are none."""
+    """Over seeds; nan where there are none, or one of them has no such number."""
     missing = statistics.Estimate(np.nan, np.nan, np.nan)
-    return statistics.student(values, level) if len(values) else missing
+    some = len(values) and np.isfinite(values).all()
+    return statistics.student(values, level) if some else missing
 
 
-def _over_tasks(sides: Sequence[str], wide_sides: Sequence[str], claimed: str) -> str:
-    """Every task must be on the claimed side; one on the other, at the wider level, contradicts."""
-    if all(side == claimed for side in sides):
-        return SUPPORTED
-    opposite = {"above": "below", "below": "above"}[claimed]
-    return CONTRADICTED if opposite in wide_sides else UNDECIDED
+def _count(values) -> str:
+    """How many seeds, and how many of them have no such number."""
+    without = int((~np.isfinite(values)).sum()) if len(values) else 0
+    return f"n = {len(values)}" + (f", {without} of them without such a number" * bool(without))
 
 
 def _lap_shares(plan: Plan, changes: Changes) -> list[float]:

@@ -7,8 +7,10 @@ from typing import Literal, TextIO
 
 import tyro
 
-from experiments import paper
+from experiments import page, paper
+from experiments.catalogue import TITLES, Name, experiment
 from experiments.plan import Plan, make_plan
+from mapg_jax.config import PRESETS
 from mapg_jax.console import complain, refuse_politely
 
 
@@ -20,7 +22,7 @@ class Paper:
     Example: mapg paper table2 --seeds 3
     """
 
-    name: tyro.conf.Positional[paper.Name | Literal["all"]]
+    name: tyro.conf.Positional[Name | Literal["all"]]
     """Of the experiment; all of them share their runs."""
     steps: int | None = None
     """Environment steps a run; by default the preset's, 2,000,000."""
@@ -37,13 +39,14 @@ class Paper:
 
     def run(self, out: TextIO) -> None:
         plan = refuse_politely(self._plan)
-        names: list[paper.Name] = list(paper.TITLES) if self.name == "all" else [self.name]
-        page, failures = refuse_politely(
+        names: list[Name] = list(TITLES) if self.name == "all" else [self.name]
+        made, failures = refuse_politely(
             lambda: paper.make(plan, names, training=self.train, workers=self.workers)
         )
+        shown = page.with_all_seeds(plan)
         for name in names:
-            print(f"## {paper.TITLES[name]}\n\n{paper.experiment(name).section(plan)}\n", file=out)
-        print(f"all results: {page}", file=out)
+            print(f"## {TITLES[name]}\n\n{experiment(name).section(shown)}\n", file=out)
+        print(f"all results: {made}", file=out)
         if failures:
             for failure in failures:
                 complain(failure, 1)
@@ -53,7 +56,7 @@ class Paper:
         if self.seeds < 1:
             raise ValueError(f"seeds must be at least 1, got {self.seeds}")
         own = [self.preset] if self.preset != "paper" else []
-        own += [str(self.steps)] if self.steps is not None else []
+        own += [str(self.steps)] if self.steps not in (None, PRESETS[self.preset].steps) else []
         runs = pathlib.Path("runs") / "-".join(["paper", *own])
         results = runs / "results" if own else pathlib.Path("results")
         return make_plan(self.preset, self.steps, self.seeds, runs, self.out or results)

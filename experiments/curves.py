@@ -17,15 +17,15 @@ COLUMNS = ("env_steps", "return_mean", "training_return", "spread", "q_gap_relat
 def measure(plan: Plan, folder: RunFolder) -> None:
     """Adds the curve of a run."""
     key = rows.identity(folder.config)
-    if not rows.holds(plan.results / FILE, key):
+    if not rows.holds(plan.measured / FILE, key):
         metrics = read_metrics(folder.metrics)
         new = [{**key, **{c: f"{row[c]:.6g}" for c in COLUMNS}} for row in metrics]
-        rows.append(plan.results / FILE, new)
+        rows.append(plan.measured / FILE, new)
 
 
 def of(plan: Plan, runs: Sequence[Config]) -> list[dict[str, np.ndarray]]:
     """The curves of those runs that have finished: columns as arrays, and `seed`."""
-    found = rows.of(plan.results / FILE, runs)
+    found = rows.of(plan.measured / FILE, runs)
     by_run: dict[tuple[str, ...], list[dict[str, str]]] = {}
     for row in found:
         by_run.setdefault(tuple(v for k, v in row.items() if k not in COLUMNS), []).append(row)

@@ -44,16 +44,18 @@ def draw(found: list[dict[str, np.ndarray]]):
 
 
 def statistics_by_seed(plan: Plan) -> dict[str, list[float]]:
-    """Of every seed: two rank correlations, and the spikes of the second half of training."""
+    """Of every seed: two rank correlations, and the spikes of the second half of training.
+
+    nan where a number that never changes has no rank, or the median spread is 0.
+    """
     found: dict[str, list[float]] = {"spread with step": [], "spread with return": [], "spikes": []}
     for curve in curves.of(plan, runs(plan)):
         spread = curve["spread"]
-        later = spread[curve["env_steps"] > curve["env_steps"][-1] / 2]
-        if len(spread) < 4 or not later.min() > 0:
-            continue
         for name, other in (("step", curve["env_steps"]), ("return", curve["return_mean"])):
-            found[f"spread with {name}"].append(
-                float(scipy.stats.spearmanr(spread, other).statistic)
-            )
-        found["spikes"].append(float(later.max() / np.median(later)))
+            ranked = np.ptp(spread) > 0 and np.ptp(other) > 0
+            correlation = scipy.stats.spearmanr(spread, other).statistic if ranked else np.nan
+            found[f"spread with {name}"].append(float(correlation))
+        later = spread[curve["env_steps"] > curve["env_steps"][-1] / 2]
+        median = np.median(later)
+        found["spikes"].append(float(later.max() / median) if median > 0 else np.nan)
     return found

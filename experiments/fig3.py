@@ -28,21 +28,21 @@ def runs(plan: Plan) -> list[Config]:
 def measure(plan: Plan, folder: RunFolder) -> None:
     """Mean spread by angle, over the states of all starts; and the first start's episode."""
     key = rows.identity(folder.config)
-    if rows.holds(plan.results / BINS, key):
+    if rows.holds(plan.measured / BINS, key):
         return
     angle, spread = play(load_policy(folder.path), folder.config)
     edges = np.arange(-180, 181, BIN)
     counts, _ = np.histogram(angle, edges)
     sums, _ = np.histogram(angle, edges, weights=spread)
-    if folder.config.seed == 0:
+    if folder.config.seed == 0 and not rows.holds(plan.measured / EPISODE, key):
         episode = zip(angle[0], spread[0], strict=True)
         rows.append(
-            plan.results / EPISODE,
+            plan.measured / EPISODE,
             [{**key, "step": t, "angle": f"{a:.2f}", "spread": f"{s:.5g}"}
              for t, (a, s) in enumerate(episode)],
         )  # fmt: skip
     rows.append(
-        plan.results / BINS,
+        plan.measured / BINS,
         [
             {**key, "angle": (low + BIN / 2), "states": int(n), "spread": f"{total / n:.5g}"}
             for low, n, total in zip(edges[:-1], counts, sums, strict=True)
@@ -78,8 +78,8 @@ def play(policy: Policy, config: Config) -> tuple[np.ndarray, np.ndarray]:
 
 def section(plan: Plan) -> str:
     """The picture, and what it shows."""
-    bins = rows.of(plan.results / BINS, runs(plan))
-    episode = rows.of(plan.results / EPISODE, runs(plan)[:1])
+    bins = rows.of(plan.measured / BINS, runs(plan))
+    episode = rows.of(plan.measured / EPISODE, runs(plan)[:1])
     if not bins:
         return rows.missing(runs(plan))
     draw(bins, episode).savefig(plan.results / "fig3.png", dpi=120)
@@ -123,17 +123,21 @@ def draw(bins: Sequence[rows.Row], episode: Sequence[rows.Row]):
 
 
 def spread_by_seed(plan: Plan) -> dict[str, list[float]]:
-    """Of every seed: mean spread at most 30° from hanging, between 30° and 150°, and beyond."""
+    """Of every seed: mean spread at most 30° from hanging, between 30° and 150°, and beyond.
+
+    nan where no state of a seed is in that range.
+    """
     means: dict[str, list[float]] = {"hanging": [], "between": [], "upright": []}
-    bins = rows.of(plan.results / BINS, runs(plan))
+    bins = rows.of(plan.measured / BINS, runs(plan))
     for seed in sorted({row["seed"] for row in bins}, key=int):
         of_seed = [row for row in bins if row["seed"] == seed]
-        angle = np.abs([float(row["angle"]) for row in of_seed])
-        states = np.array([float(row["states"]) for row in of_seed])
-        spread = np.array([float(row["spread"]) for row in of_seed])
+        angle, states, spread = (
+            np.array([float(row[k]) for row in of_seed]) for k in ("angle", "states", "spread")
+        )
+        angle = np.abs(angle)
         where = {"hanging": angle < 30, "between": (angle > 30) & (angle < 150),
                  "upright": angle > 150}  # fmt: skip
-        if all(mask.any() for mask in where.values()):
-            for name, mask in where.items():
-                means[name].append(float(np.average(spread[mask], weights=states[mask])))
+        for name, mask in where.items():
+            mean = np.average(spread[mask], weights=states[mask]) if mask.any() else np.nan
+            means[name].append(float(mean))
     return means

@@ -25,11 +25,12 @@ def arm(plan: Plan, env: str, label: str) -> list[Config]:
 
 def section(plan: Plan) -> str:
     """The picture, and the final scores."""
-    if not scores.of(plan, runs(plan)):
-        return rows.missing(runs(plan))
     tasks = {env: {k: curves.of(plan, arm(plan, env, k)) for k in ARMS} for env in ENVS}
     tasks = {env: {k: v for k, v in arms.items() if v} for env, arms in tasks.items()}
-    figure = draw_curves({env: arms for env, arms in tasks.items() if arms})
+    tasks = {env: arms for env, arms in tasks.items() if arms}
+    if not tasks:
+        return rows.missing(runs(plan))
+    figure = draw_curves(tasks)
     figure.savefig(plan.results / "fig4.png", dpi=120)
     lines = [f"| task | {' | '.join(ARMS)} |", "|---|" + "---|" * len(ARMS)]
     for env in ENVS:

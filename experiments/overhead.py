@@ -1,6 +1,5 @@
 """Time per training step and per update over M: what the heads cost (C7)."""
 
-import dataclasses
 import os
 import time
 from collections.abc import Callable
@@ -25,24 +24,25 @@ def runs(plan: Plan) -> list[Config]:
 
 
 def time_arms(plan: Plan, rounds: int = ROUNDS, seconds: float = SECONDS) -> None:
-    """Times every M on Hopper, interleaved, and replaces what was timed before."""
+    """Times every M on Hopper, interleaved, unless that was done before."""
+    if (plan.measured / TIMES).exists():
+        return
+    load = f"{os.getloadavg()[0]:.2f}"  # of the last minute, by others
     arms = [Arm(plan, m, seconds) for m in (1, *plan.heads)]
     times = [
-        {"env": "hopper", "heads": arm.config.heads, "round": r, "cores": os.cpu_count(), **arm()}
+        {"env": "hopper", "heads": arm.config.heads, "round": r,
+         "cores": os.cpu_count(), "load": load, **arm()}
         for r in range(rounds)
         for arm in arms
-    ]
-    (plan.results / TIMES).unlink(missing_ok=True)
-    rows.append(plan.results / TIMES, times)
+    ]  # fmt: skip
+    rows.append(plan.measured / TIMES, times)
 
 
 class Arm:
     """One M: a training state that has begun to learn, and two programs to time."""
 
     def __init__(self, plan: Plan, m: int, seconds: float):
-        self.config = dataclasses.replace(
-            plan.config("hopper", heads=m), replay_size=min(plan.base.replay_size, 100_000)
-        )
+        self.config = plan.config("hopper", heads=m)
         self.trainer = make_trainer(self.config)
         started = self.config.learning_starts // self.config.environments + 1
         self.state = self.trainer.jitted_run(self.trainer.jitted_init(0), started)
@@ -81,7 +81,7 @@ class Arm:
 
 def ratios(plan: Plan, column: str) -> dict[int, np.ndarray]:
     """M → the time over that of M = 1, one number a round."""
-    times = rows.read(plan.results / TIMES)
+    times = rows.read(plan.measured / TIMES)
     by_heads = {
         m: np.array([float(row[column]) for row in times if row["heads"] == str(m)])
         for m in (1, *plan.heads)
@@ -91,10 +91,10 @@ def ratios(plan: Plan, column: str) -> dict[int, np.ndarray]:
 
 def section(plan: Plan) -> str:
     """Median times, and their ratios to M = 1."""
-    if not (plan.results / TIMES).exists():
+    if not (plan.measured / TIMES).exists():
         return "Missing: nothing has been timed."
     per_step, per_update = (ratios(plan, c) for c in ("seconds_per_step", "seconds_per_update"))
-    times = rows.read(plan.results / TIMES)
+    times = rows.read(plan.measured / TIMES)
     lines = [
         "| M | µs a step | over M = 1 | µs an update | over M = 1 |",
         "|---|---|---|---|---|",

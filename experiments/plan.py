@@ -41,6 +41,13 @@ class Plan(NamedTuple):
     """Of Table 2."""
     heads: tuple[int, ...] = HEADS
     """M, beside DDPG's 1."""
+    flags: str = ""
+    """Of the command, beside the seeds."""
+
+    @property
+    def measured(self) -> pathlib.Path:
+        """CSV files of what was measured on the runs beside their scores."""
+        return self.results / "measured"
 
     def config(self, env: str, seed: int = 0, **changes) -> Config:
         """One run."""
@@ -62,16 +69,30 @@ class Plan(NamedTuple):
 def make_plan(
     preset: str, steps: int | None, seeds: int, runs: pathlib.Path, results: pathlib.Path
 ) -> Plan:
-    """The plan of a preset, its steps unless others are given."""
+    """The plan of a preset, its steps unless others are given.
+
+    Raises:
+      ValueError: if the steps cannot be met exactly by every algorithm.
+    """
     base = PRESETS[preset]
-    if steps is not None:
-        base = dataclasses.replace(base, steps=steps)
-    return Plan(
-        dataclasses.replace(base, evaluate_every=max(1, base.steps // 40), checkpoints_kept=1),
-        seeds,
-        runs,
-        results,
-    )
+    flags = "" if preset == "paper" else f" --preset {preset}"
+    if steps not in (None, base.steps):
+        base, flags = dataclasses.replace(base, steps=steps), f"{flags} --steps {steps}"
+    turn = base.environments * base.a3c_rollout_steps
+    if base.steps % turn:
+        nearest = max(1, round(base.steps / turn)) * turn
+        raise ValueError(
+            f"steps must be a multiple of {turn}, {base.environments} environments times "
+            f"A3C's rollouts of {base.a3c_rollout_steps}; got {base.steps}, and {nearest} is near"
+        )
+    every = max(1, base.steps // 40)
+    base = dataclasses.replace(base, evaluate_every=every, checkpoints_kept=1)
+    return Plan(base, seeds, runs, results, flags=flags)
+
+
+def is_the_papers(plan: Plan) -> bool:
+    """Whether its results are those of the project itself, which its README shows."""
+    return plan.results == pathlib.Path("results") and not plan.flags
 
 
 def name(config: Config, base: Config) -> str:

@@ -11,6 +11,7 @@ from mapg_jax.results import Result, settings
 Row = Mapping[str, Any]
 COLUMNS = ("env", "algorithm", "heads", "seed", "steps", "settings")
 """Say which run a row is of."""
+DIVERGED = "diverged.csv"
 
 
 def identity(config: Config) -> dict[str, str]:
@@ -36,12 +37,15 @@ def read(path: pathlib.Path) -> list[dict[str, str]]:
     if not path.exists():
         return []
     with path.open(newline="") as file:
-        return list(csv.DictReader(file))
+        found = list(csv.DictReader(file))
+    if any(None in row or None in row.values() for row in found):
+        raise ValueError(f"{path} is damaged: a row has other columns than the header")
+    return found
 
 
 def holds(path: pathlib.Path, key: Row) -> bool:
     """Whether a file has rows of that run."""
-    return any(all(row[k] == v for k, v in key.items()) for row in read(path))
+    return any(all(row.get(k) == v for k, v in key.items()) for row in read(path))
 
 
 def append(path: pathlib.Path, new: Sequence[Row]) -> None:
@@ -58,7 +62,10 @@ def append(path: pathlib.Path, new: Sequence[Row]) -> None:
 def of(path: pathlib.Path, runs: Sequence[Config]) -> list[dict[str, str]]:
     """The rows of those runs."""
     keys = [identity(config) for config in runs]
-    return [row for row in read(path) if {k: row[k] for k in COLUMNS} in keys]
+    found = read(path)
+    if found and (lacking := set(COLUMNS) - set(found[0])):
+        raise ValueError(f"{path} is damaged: it has no column {', '.join(sorted(lacking))}")
+    return [row for row in found if {k: row[k] for k in COLUMNS} in keys]
 
 
 def missing(runs: Sequence[Config]) -> str:

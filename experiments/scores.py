@@ -18,14 +18,28 @@ def path(plan: Plan) -> pathlib.Path:
 
 
 def measure(plan: Plan, folder: RunFolder) -> None:
-    """Adds the score of a run."""
-    append_csv(path(plan), [read_run(folder)])
+    """Adds the score of a run.
+
+    Raises:
+      ValueError: if the run was scored otherwise than by the protocol.
+    """
+    result = read_run(folder)
+    scored = (result.select, result.episodes)
+    wanted = ("uniform", folder.config.final_episodes)
+    if scored != wanted:
+        raise ValueError(
+            f"{folder.path} was scored by {scored[0]} over {scored[1]} episodes; "
+            f"score it by: mapg evaluate {folder.path} --episodes {wanted[1]}"
+        )
+    append_csv(path(plan), [result])
 
 
 def of(plan: Plan, runs: Sequence[Config]) -> list[Result]:
     """The results of those runs that have finished, by seed."""
     wanted = [rows.identity(config) for config in runs]
     found = [result for result in read_csv(path(plan)) if rows.identity_of(result) in wanted]
+    if len({tuple(rows.identity_of(result).values()) for result in found}) < len(found):
+        raise ValueError(f"{path(plan)} holds two scores of one run; leave one out")
     return sorted(found, key=lambda result: result.seed)
 
 

@@ -17,17 +17,17 @@ HEADS: tuple[Select, ...] = ("uniform", "argmax-q", "mean")
 def measure(plan: Plan, folder: RunFolder, selects: Sequence[Select]) -> None:
     """Adds the scores of a run by each of these choices."""
     key = rows.identity(folder.config)
-    if rows.holds(plan.results / FILE, key):
+    if rows.holds(plan.measured / FILE, key):
         return
     new = []
     for select in selects:
         record = score(folder, folder.config.final_episodes, select=select)
         numbers = {"return_mean": record["mean"], "return_std": record["std"]}
         new.append({**key, "select": select, **numbers, "episodes": record["episodes"]})
-    rows.append(plan.results / FILE, new)
+    rows.append(plan.measured / FILE, new)
 
 
 def means(plan: Plan, runs: Sequence[Config], select: Select) -> list[float]:
     """Those of the runs that have been scored so."""
-    found = rows.of(plan.results / FILE, runs)
+    found = rows.of(plan.measured / FILE, runs)
     return [float(row["return_mean"]) for row in found if row["select"] == select]

@@ -114,7 +114,10 @@ class Config:
             if isinstance(value, float) and not math.isfinite(value):
                 raise ValueError(f"{name} must be finite, got {value}")
         if self.algorithm == "a3c":
-            object.__setattr__(self, "heads", 1)  # equal runs are equal configurations
+            # Equal runs are equal configurations: what tells arms of MAPG apart means nothing here.
+            object.__setattr__(self, "heads", 1)
+            for name in ("noise", "noise_scale", "noise_scale_last", "gradient", "target"):
+                object.__setattr__(self, name, getattr(Config, name))
         at_least = {
             "heads": 1, "seed": 0, "steps": 1, "environments": 1, "updates_per_step": 1e-5,
             "learning_starts": 0, "replay_size": 1, "batch_size": 1, "evaluate_every": 1,

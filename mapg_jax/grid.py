@@ -13,6 +13,9 @@ Values = Mapping[str, Sequence[Any]]
 """The values that fields of a configuration take."""
 SHORT = {"heads": "m", "seed": "s"}
 
+MOST_CELLS = 100_000
+"""More is a slip of the hand, and would take minutes to list."""
+
 
 def expand(base: Config, values: Values) -> list[Config]:
     """The product of the values over a base; equal cells are one.
@@ -25,6 +28,8 @@ def expand(base: Config, values: Values) -> list[Config]:
     for name, several in values.items():
         if not several:
             raise ValueError(f"the grid is empty: {name} has no values")
+    if size(values) > MOST_CELLS:
+        raise ValueError(f"the grid has {size(values):,} cells, more than {MOST_CELLS:,}")
     names = sorted(values, key=lambda name: name != "seed")
     product = itertools.product(*(values[name] for name in names))
     cells = (dataclasses.replace(base, **dict(zip(names, cell, strict=True))) for cell in product)

@@ -96,11 +96,11 @@ def make_folder(path: pathlib.Path) -> None:
     """A new folder.
 
     Raises:
-      ValueError: if it exists or cannot be created.
+      ValueError: if it exists with something in it, or cannot be created.
     """
     made = [p for p in (path, *path.parents) if not p.exists()]
     try:
-        path.mkdir(parents=True)
+        path.mkdir(parents=True, exist_ok=is_blank(path))
     except FileExistsError:
         raise ValueError(
             f"{path} exists already; choose another --out, or go on with: mapg resume {path}"
@@ -110,6 +110,13 @@ def make_folder(path: pathlib.Path) -> None:
             with contextlib.suppress(OSError):
                 parent.rmdir()
         raise ValueError(f"{path} cannot be created: {error.strerror}") from None
+
+
+def is_blank(path: pathlib.Path) -> bool:
+    """Whether there is no run yet: a process can end as soon as it has made the folder."""
+    if not path.exists():
+        return True
+    return path.is_dir() and {file.name for file in path.iterdir()} <= {"config.partial"}
 
 
 def write_json(path: pathlib.Path, record: dict[str, Any]) -> None:

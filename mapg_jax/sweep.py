@@ -15,7 +15,7 @@ from mapg_jax.grouping import (
     refuse_a_full_disk,
     workers_that_fit,
 )
-from mapg_jax.run_folder import RunFolder
+from mapg_jax.run_folder import RunFolder, is_blank
 from mapg_jax.signals import StoppedError, caught_signals
 from mapg_jax.sweep_table import SweepTable
 from mapg_jax.workers import Worker, leave_the_memory_to_workers, own_cores, shares
@@ -153,10 +153,10 @@ def unique_jobs(runs: Sequence[tuple[Config, pathlib.Path]]) -> list[Job]:
         job = jobs.setdefault(pathlib.Path(path), Job(config, pathlib.Path(path)))
         if job.config != config:
             raise ValueError(f"two runs are to be written into {path}")
-        if job.path.exists() and RunFolder.open(path).config != config:
+        if not is_blank(job.path) and RunFolder.open(path).config != config:
             raise ValueError(f"{path} holds a run of another configuration")
     return list(jobs.values())
 
 
 def _finished(job: Job) -> bool:
-    return job.path.exists() and is_finished(RunFolder.open(job.path))
+    return not is_blank(job.path) and is_finished(RunFolder.open(job.path))

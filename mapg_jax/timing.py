@@ -21,7 +21,8 @@ def predict(cut: list[Group], workers: int) -> float:
     """
     costs: dict[tuple, float] = {}
     for group in sorted(cut, key=lambda group: -max(job.config.heads for job in group)):
-        costs.setdefault(_kind(group), _seconds(group))
+        if _kind(group) not in costs:
+            costs[_kind(group)] = _seconds(group)
     return sum(costs[_kind(group)] for group in cut) / workers
 
 

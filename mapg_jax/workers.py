@@ -10,7 +10,7 @@ import jax
 
 from mapg_jax.finishing import is_finished
 from mapg_jax.grouping import Group
-from mapg_jax.run_folder import RunFolder
+from mapg_jax.run_folder import RunFolder, is_blank
 from mapg_jax.worker import failure_file
 
 # The process of a sweep only asks a GPU for its size; its workers need the memory, and have it as
@@ -94,7 +94,7 @@ def own_cores() -> list[int]:
 
 def _open(config, path: pathlib.Path) -> RunFolder:
     """The folder of a run, new or gone on with, and this process written into its history."""
-    if not path.exists():
+    if is_blank(path):
         return RunFolder.create(path, config)
     folder = RunFolder.open(path)
     failure_file(path).unlink(missing_ok=True)

@@ -320,3 +320,8 @@ def test_the_saved_policy_samples_or_takes_the_mean(finished):
 def test_choices_among_heads_are_refused(finished, select):
     with pytest.raises(ValueError, match=f"select must be one of uniform, mean, got '{select}'"):
         load_policy(finished.path, select=select)
+
+
+def test_what_means_nothing_for_a3c_does_not_tell_its_runs_apart():
+    one = Config(algorithm="a3c", heads=5, noise="none", noise_scale=0.5, gradient="all")
+    assert one == Config(algorithm="a3c")

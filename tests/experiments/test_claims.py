@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from experiments import claims, curves, fig2, fig3, overhead, paper, rows, scores
+from experiments import claims, curves, fig2, fig3, overhead, page, rows, scores
 from experiments.plan import A3C, DDPG, DRIVING, MAPG, NO_NOISE, make_plan
 from mapg_jax import statistics
 from mapg_jax.results import Result, append_csv
@@ -14,7 +14,7 @@ from mapg_jax.results import Result, append_csv
 @pytest.fixture
 def plan(tmp_path, monkeypatch):
     monkeypatch.setattr(statistics, "RESAMPLES", 500)  # arms here are far apart
-    return make_plan("paper", 1000, 5, tmp_path / "runs", tmp_path / "results")
+    return make_plan("paper", 1600, 5, tmp_path / "runs", tmp_path / "results")
 
 
 def write(plan, env, changes, values, **extra):
@@ -58,7 +58,7 @@ def test_three_seeds_against_three_decide_nothing(plan):
         write(plan, env, MAPG, spread(100, 3))
     verdict = claims.c1(plan)
     assert verdict.verdict == "undecided"
-    assert "hopper 1.00 (1.00 to 1.00), n = 3, 3" in verdict.evidence
+    assert "hopper 1 (1 to 1), n = 3, 3" in verdict.evidence
 
 
 def test_a3c_below_ddpg_supports_c9(plan):
@@ -121,7 +121,7 @@ def write_curve(plan, env, seed, **columns):
     length = len(next(iter(columns.values())))
     columns = {name: np.zeros(length) for name in curves.COLUMNS} | columns
     lines = [{**key, **{k: v[i] for k, v in columns.items()}} for i in range(length)]
-    rows.append(plan.results / curves.FILE, lines)
+    rows.append(plan.measured / curves.FILE, lines)
 
 
 @pytest.mark.parametrize(("spike", "expected"), [(8.0, "supported"), (1.0, "undecided")])
@@ -155,7 +155,7 @@ def test_spread_by_angle(plan, hanging, upright, expected):
             value = hanging if abs(angle) < 30 else upright if abs(angle) > 150 else 0.2
             value *= 1 + 0.01 * seed
             lines.append({**key, "angle": angle, "states": 7, "spread": value})
-        rows.append(plan.results / fig3.BINS, lines)
+        rows.append(plan.measured / fig3.BINS, lines)
     assert np.allclose(fig3.spread_by_seed(plan)["between"], [0.2, 0.202, 0.204])
     assert claims.c4(plan).verdict == expected
 
@@ -167,7 +167,7 @@ def test_overhead_is_judged_round_by_round(plan, ratio, expected):
         for r in range(7)
         for m in (1, 10)
     ]
-    rows.append(plan.results / overhead.TIMES, lines)
+    rows.append(plan.measured / overhead.TIMES, lines)
     assert claims.c7(plan).verdict == expected
 
 
@@ -180,9 +180,21 @@ def test_gaps_of_q(plan):
     assert claims.c8(plan).verdict == "supported"
 
 
+def test_a_seed_without_a_number_leaves_its_claim_undecided_and_is_counted(plan):
+    steps = np.arange(1.0, 41)
+    for seed in range(4):
+        spread = np.zeros(40) if seed == 2 else 1 / steps
+        write_curve(plan, "pendulum", seed, env_steps=steps, return_mean=steps, spread=spread)
+        write_curve(plan, "hopper", seed, env_steps=steps, q_gap_relative=spread * np.nan)
+    verdict = claims.c3(plan)
+    assert verdict.verdict == "undecided"
+    assert "n = 4, 1 of them without such a number" in verdict.evidence
+    assert "hopper missing, n = 4, 4 of them without such a number" in claims.c8(plan).evidence
+
+
 def test_without_results_nothing_is_decided(plan):
     verdicts = {verdict.claim: verdict.verdict for verdict in claims.ledger(plan)}
     assert verdicts.pop("C10") == "not tested"
     assert set(verdicts.values()) == {"undecided"}
-    page = paper.write_page(plan).read_text()
-    assert "missing" in page and "C10" in page
+    text = page.write(plan).read_text()
+    assert "missing" in text and "C10" in text

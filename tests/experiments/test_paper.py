@@ -1,20 +1,31 @@
 """The experiments from end to end, in their smallest form."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
 
-from experiments import overhead, paper, rows, scores
+from experiments import overhead, page, paper, rows, scores
+from experiments.catalogue import Name
 from experiments.plan import A3C, MAPG, NO_NOISE, Plan, in_order, make_plan, name
 from mapg_jax.config import PRESETS
+from mapg_jax.results import append_csv
+from mapg_jax.run_folder import RunFolder
+from mapg_jax.scoring import evaluate
+from mapg_jax.worker import failure_file
 
-NAMES: list[paper.Name] = ["table2", "fig2", "fig3"]
+NAMES: list[Name] = ["table2", "fig2", "fig3"]
 
 
 def small(folder, seeds=1) -> Plan:
     plan = make_plan("smoke", 320, seeds, folder / "runs", folder / "results")
     return plan._replace(tasks=("pendulum",), heads=(10,))
+
+
+def test_steps_that_no_whole_number_of_turns_makes_are_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"must be a multiple of 40, .* got 501, and 520 is near"):
+        make_plan("smoke", 501, 1, tmp_path, tmp_path)
 
 
 @pytest.fixture(scope="module")
@@ -35,11 +46,14 @@ def test_a_command_trains_measures_and_draws(made):
         ("pendulum", "mapg", 10),
     ]
     assert {(r.steps, r.episodes) for r in found} == {(320, 4)}
-    page = (made.results / "README.md").read_text()
+    text = (made.results / "README.md").read_text()
     for picture in ("fig2.png", "fig3.png"):
-        assert f"({picture})" in page
+        assert f"({picture})" in text
         assert (made.results / picture).read_bytes().startswith(b"\x89PNG")
-    assert "Made by `mapg paper table2 --seeds 1`: 3 of 3 runs finished, 320 steps each" in page
+    made_by = (
+        "Made by `mapg paper table2 --seeds 1 --preset smoke --steps 320`: 3 of 3 runs finished"
+    )
+    assert made_by in text
 
 
 def test_the_score_is_that_of_the_run(made):
@@ -50,9 +64,9 @@ def test_the_score_is_that_of_the_run(made):
 
 
 def test_spread_by_angle_counts_every_state(made):
-    bins = rows.of(made.results / "fig3_bins.csv", paper.runs(made, ["fig3"]))
+    bins = rows.of(made.measured / "fig3_bins.csv", paper.runs(made, ["fig3"]))
     assert sum(int(row["states"]) for row in bins) == 100 * 200
-    episode = rows.of(made.results / "fig3_episode.csv", paper.runs(made, ["fig3"]))
+    episode = rows.of(made.measured / "fig3_episode.csv", paper.runs(made, ["fig3"]))
     assert abs(float(episode[0]["angle"])) <= 5  # hanging down
     assert all(float(row["spread"]) >= 0 for row in episode)
 
@@ -60,8 +74,9 @@ def test_spread_by_angle_counts_every_state(made):
 def test_results_are_made_again_from_the_run_folders(made, tmp_path):
     again = made._replace(results=tmp_path)
     paper.make(again, NAMES, training=False)
-    for file in ("scores.csv", "curves.csv", "selects.csv", "fig3_bins.csv"):
-        old, new = (sorted(rows.read(p.results / file), key=str) for p in (made, again))
+    assert rows.read(scores.path(made)) and rows.read(scores.path(again))
+    for file in ("curves.csv", "selects.csv", "fig3_bins.csv"):
+        old, new = (sorted(rows.read(p.measured / file), key=str) for p in (made, again))
         assert old == new and old, file
 
 
@@ -81,6 +96,54 @@ def test_other_presets_do_not_mix(made):
     other = make_plan("paper", 320, 1, made.runs, made.results)
     with pytest.raises(ValueError, match="settings"):
         paper.make(other, NAMES, training=False)
+
+
+def test_scores_of_two_versions_of_the_tasks_do_not_mix(made, tmp_path):
+    mixed = made._replace(results=tmp_path)
+    found = scores.of(made, paper.runs(made, NAMES))
+    append_csv(scores.path(mixed), [found[0], found[1]._replace(versions="mujoco 9")])
+    with pytest.raises(ValueError, match=r"runs of .* and of mujoco 9, which do not compare"):
+        paper.make(mixed, NAMES, training=False)
+
+
+def test_a_score_by_another_choice_is_refused(made, tmp_path):
+    (config,) = paper.runs(made, ["fig2"])
+    shutil.copytree(made.folder(config), tmp_path / "run")
+    evaluate(tmp_path / "run", episodes=4, select="mean")
+    with pytest.raises(ValueError, match="was scored by mean over 4 episodes; score it by"):
+        scores.measure(made._replace(results=tmp_path), RunFolder.open(tmp_path / "run"))
+
+
+def test_the_page_shows_every_seed_there_is(made, tmp_path):
+    more = made._replace(results=tmp_path)
+    found = scores.of(made, paper.runs(made, ["table2"]))
+    append_csv(scores.path(more), [*found, *(result._replace(seed=1) for result in found)])
+    assert "(n = 2)" in page.write(more).read_text()
+
+
+def test_a_run_that_diverged_is_named_and_not_tried_again(made, tmp_path):
+    plan = made._replace(runs=tmp_path / "runs", results=tmp_path / "results")
+    wanted = paper.runs(plan, ["fig2"])
+    plan.folder(wanted[0]).mkdir(parents=True)
+    failure_file(plan.folder(wanted[0])).write_text("a loss is no longer finite at step 64\n")
+    paper.record_diverged(plan, wanted)
+    assert paper.train(plan, ["fig2"], workers=1) == []
+    assert "pendulum, mapg, M = 10, seed 0" in page.diverged(plan)
+
+
+def test_two_processes_do_not_write_the_same_results(tmp_path):
+    refused = pytest.raises(ValueError, match="another mapg paper")
+    with paper.alone(tmp_path), refused, paper.alone(tmp_path):
+        pass
+
+
+def test_a_damaged_file_is_refused(made, tmp_path):
+    plan = made._replace(results=tmp_path)
+    plan.measured.mkdir()
+    for text, message in (("env,heads\nx,\n", "no column"), ("env\nx,y\n", "other columns")):
+        (plan.measured / "curves.csv").write_text(text)
+        with pytest.raises(ValueError, match=message):
+            page.write(plan)
 
 
 def test_overhead_is_timed_in_rounds(tmp_path):

@@ -1,0 +1,77 @@
+"""results/README.md and the tables in the project's README, from what is in the results."""
+
+import pathlib
+
+from experiments import claims, rows, scores, table2
+from experiments.catalogue import TITLES, Name, experiment, runs
+from experiments.plan import Plan, is_the_papers
+
+FILE = "README.md"
+HEAD = """# Results
+
+Every number and picture here was written by a command; how runs are made and claims judged was
+fixed beforehand, in [experiments/protocol.md](../experiments/protocol.md). What is not there yet is
+shown as missing. Scores of all runs: [scores.csv](scores.csv); what else was measured on them:
+[measured](measured)."""
+
+
+def write(plan: Plan) -> pathlib.Path:
+    """Every experiment, from every seed in the results."""
+    plan.results.mkdir(parents=True, exist_ok=True)
+    plan = with_all_seeds(plan)
+    sections = [
+        f"## {title}\n\n{experiment(name).section(plan)}\n\n{provenance(plan, name)}"
+        for name, title in TITLES.items()
+    ]
+    page = plan.results / FILE
+    page.write_text("\n\n".join([HEAD, *sections, diverged(plan)]).rstrip() + "\n")
+    if is_the_papers(plan):
+        write_headline(plan, pathlib.Path("README.md"))
+    return page
+
+
+def with_all_seeds(plan: Plan) -> Plan:
+    """The plan with as many seeds as the results have: a comparison uses every one there is."""
+    seeds = [result.seed + 1 for result in scores.read_csv(scores.path(plan))]
+    return plan._replace(seeds=max([plan.seeds, *seeds]))
+
+
+def write_headline(plan: Plan, readme: pathlib.Path) -> None:
+    """Puts Table 2 and the verdicts where the project's README has its comments for them."""
+    verdicts = ["| | claim | verdict |", "|---|---|---|"]
+    verdicts += [f"| {v.claim} | {v.text} | {v.verdict} |" for v in claims.ledger(plan)]
+    tables = {"table 2": table2.beside_the_paper(plan), "claims": "\n".join(verdicts)}
+    if readme.exists():
+        text = readme.read_text()
+        for name, table in tables.items():
+            begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+            before, found, rest = text.partition(begin)
+            if found and end in rest:
+                text = f"{before}{begin}\n{table}\n{end}{rest.partition(end)[2]}"
+        readme.write_text(text)
+
+
+def provenance(plan: Plan, name: Name) -> str:
+    """The command of a section, and the runs, versions and days behind it."""
+    wanted = runs(plan, [name])
+    text = f"Made by `mapg paper {name} --seeds {plan.seeds}{plan.flags}`"
+    if not wanted:
+        return f"{text}."
+    found = scores.of(plan, wanted)
+    text = f"{text}: {len(found)} of {len(wanted)} runs finished"
+    if not found:
+        return f"{text}."
+    days = sorted({result.date for result in found})
+    versions = " and ".join(sorted({result.versions for result in found}))
+    until = f" to {days[-1]}" if len(days) > 1 else ""
+    return f"{text}, {plan.base.steps:,} steps each; {versions}; {days[0]}{until}."
+
+
+def diverged(plan: Plan) -> str:
+    """The runs that count as missing because they diverged."""
+    lines = [
+        f"- {row['env']}, {row['algorithm']}, M = {row['heads']}, seed {row['seed']}"
+        f"{', ' + row['settings'] if row['settings'] else ''}: {row['reason']}"
+        for row in rows.read(plan.measured / rows.DIVERGED)
+    ]
+    return "\n".join(["## Diverged", "", *(lines or ["No run has diverged."])])
