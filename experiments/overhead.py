@@ -109,7 +109,8 @@ def section(plan: Plan) -> str:
         lines.append(f"| {m} | {' | '.join(cells)} |")
     return "\n".join(lines) + (
         f"\n\nHopper, {plan.base.environments} environments, MuJoCo's C engine, XLA with one "
-        f"thread, {times[0]['cores']} cores. A step is one environment step with the updates it "
-        f"earns ({plan.base.updates_per_step:g} each); times are medians of {len(per_step[1])} "
-        "interleaved rounds, ratios taken within each round, with Student's 95 % interval."
+        f"thread, {times[0]['cores']} cores, load before it {times[0]['load']}. A step is one "
+        f"environment step with the updates it earns ({plan.base.updates_per_step:g} each); times "
+        f"are medians of {len(per_step[1])} interleaved rounds, ratios taken within each round, "
+        "with Student's 95 % interval."
     )
