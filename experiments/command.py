@@ -22,7 +22,7 @@ class Paper:
     Example: mapg paper table2 --seeds 3
     """
 
-    name: tyro.conf.Positional[Name | Literal["all"]]
+    name: tyro.conf.Positional[Literal[Name, "all"]]
     """Of the experiment; all of them share their runs."""
     steps: int | None = None
     """Environment steps a run; by default the preset's, 2,000,000."""

@@ -17,7 +17,7 @@ import envs
 from experiments.command import Paper
 from mapg_jax import document, heads, sweep_command
 from mapg_jax.config import PRESETS, Config
-from mapg_jax.console import complain, console, own_stdout, refuse_politely
+from mapg_jax.console import complain, console, own_stdout, parse_politely, refuse_politely
 from mapg_jax.finishing import finish
 from mapg_jax.member import DivergedError
 from mapg_jax.recording import draw_drive
@@ -190,7 +190,8 @@ def main() -> None:
     # Networks of this size are too small to share among XLA's threads, which wait for each other:
     # one is faster and leaves the other cores to the physics. NPROC in the environment wins.
     os.environ.setdefault("NPROC", "1")
-    command = _parse(sys.argv[1:])
+    with parse_politely():
+        command = _parse(sys.argv[1:])
     jax.config.update("jax_compilation_cache_dir", str(_cache_folder()))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
     with own_stdout() as out:

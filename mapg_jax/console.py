@@ -1,7 +1,9 @@
 """What the commands share on a terminal: refusals, and a standard output of our own."""
 
 import contextlib
+import io
 import os
+import re
 import sys
 from collections.abc import Callable
 from typing import TextIO
@@ -17,9 +19,26 @@ def refuse_politely(function: Callable):
         sys.exit(complain(str(error), 2))
 
 
+@contextlib.contextmanager
+def parse_politely():
+    """The parser of the command line draws a box of several lines; ours is one line, status 2."""
+    box = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(box):
+            yield
+    except SystemExit as error:
+        if error.code != 2:
+            raise
+        rows = [row.strip("│ ") for row in box.getvalue().splitlines()[1:-1]]
+        parts = re.split(r"\.? ?─+ ?", " ".join(rows))
+        parts[0] = parts[0].removeprefix("Error parsing config: ")
+        parts[-1] = re.sub("^For full helptext, (run|see):?", "see", parts[-1])
+        sys.exit(complain("; ".join(parts), 2))
+
+
 def complain(message: str, status: int) -> int:
     """One line on standard error; gives the exit status."""
-    print(f"mapg: {message}", file=sys.stderr)
+    print("mapg:", *message.splitlines(), file=sys.stderr)
     return status
 
 
