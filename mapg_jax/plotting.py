@@ -17,6 +17,8 @@ Curve = Mapping[str, np.ndarray]
 """`env_steps` and other columns of metrics.csv."""
 COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """Okabe and Ito's, which the colour-blind tell apart too."""
+STYLES = ("-", "--", ":")
+"""Of lines, from the eighth on, when the colours come round again."""
 PANEL = (4.3, 3.2)  # inches
 LEAST_IN_A_BOX = 5
 
@@ -65,18 +67,27 @@ def draw_curves(
     arms = list(dict.fromkeys(arm for of_task in tasks.values() for arm in of_task))
     for place, arm in enumerate(arms):
         colour = COLOURS[place % len(COLOURS)]
+        style = STYLES[place // len(COLOURS) % len(STYLES)]
         seeds = sorted({len(of_task[arm]) for of_task in tasks.values() if arm in of_task})
         several = f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else seeds[0]
-        panels[0].plot([], [], label=f"{arm} (n = {several})", color=colour)
+        panels[0].plot([], [], label=f"{arm} (n = {several})", color=colour, linestyle=style)
         for axes, of_task in zip(panels, tasks.values(), strict=True):
             if arm in of_task:
                 steps, mean, low, high = mean_curve(of_task[arm], column)
-                axes.plot(steps, mean, linewidth=1.5, color=colour)
+                axes.plot(steps, mean, linewidth=1.5, color=colour, linestyle=style)
                 axes.fill_between(steps, low, high, alpha=0.15, linewidth=0, color=colour)
     for axes in panels:
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-    figure.legend(loc="outside lower center", ncols=4, frameon=False)
+    _legend_below(figure, panels[0])
     return figure
+
+
+def _legend_below(figure: "Figure", axes: "Axes") -> None:
+    """As many columns as fit the figure, which would cut off what is wider."""
+    handles, labels = axes.get_legend_handles_labels()
+    widest = 0.7 + 0.09 * max(map(len, labels))  # inches, of the line, its space and 10 pt letters
+    columns = max(1, int(figure.get_figwidth() / widest))
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(columns, 4), frameon=False)
 
 
 def mean_curve(

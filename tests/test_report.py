@@ -285,6 +285,17 @@ def test_curves_have_an_arm_a_line_and_say_how_many_seeds():
     assert all(axes.get_xlabel() == "environment steps" for axes in figure.axes)
 
 
+def test_many_arms_look_different_and_their_legend_fits():
+    tasks = {"hopper": {f"an arm of number {i}": [curve([10, 20], [i, i])] for i in range(9)}}
+    figure = plotting.draw_curves(tasks)
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    box = legend.get_window_extent()
+    assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
+    looks = {(line.get_color(), line.get_linestyle()) for line in legend.get_lines()}
+    assert len(looks) == 9
+
+
 def test_boxes_have_a_dot_a_seed_and_name_what_is_missing():
     episodes = [np.arange(4.0), np.arange(2.0, 6.0)]
     figure = plotting.draw_boxes({"hopper": {"1": episodes, "5": [], "10": [[1.0], [2.0]]}})
