@@ -18,6 +18,8 @@ DRIVING: Mapping[str, Any] = {
     "env_options": ("control_hz=10", "start=anywhere"),
     "time_limit": 2_000,
 }
+EVALUATIONS = {"paper": 40, "smoke": 10}
+"""In training; whole episodes of 1,000 steps, so that many of them would be most of a smoke run."""
 RULES: Mapping[str, Mapping[str, Any]] = {
     "stored": {},
     "resampled": {"gradient": "resampled"},
@@ -85,7 +87,7 @@ def make_plan(
             f"steps must be a multiple of {turn}, {base.environments} environments times "
             f"A3C's rollouts of {base.a3c_rollout_steps}; got {base.steps}, and {nearest} is near"
         )
-    every = max(1, base.steps // 40)
+    every = max(1, base.steps // EVALUATIONS[preset])
     base = dataclasses.replace(base, evaluate_every=every, checkpoints_kept=1)
     return Plan(base, seeds, runs, results, flags=flags)
 
