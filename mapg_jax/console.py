@@ -34,6 +34,7 @@ def parse_politely():
         parts[0] = parts[0].removeprefix("Error parsing config: ")
         parts[-1] = re.sub("^For full helptext, (run|see):?", "see", parts[-1])
         sys.exit(complain("; ".join(parts), 2))
+    print(box.getvalue(), end="", file=sys.stderr)  # warnings
 
 
 def complain(message: str, status: int) -> int:
