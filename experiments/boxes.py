@@ -41,8 +41,9 @@ def section(plan: Plan, envs: Sequence[str], picture: str) -> str:
     return (
         f"![Score over M]({picture})\n\n"
         "A box a value of M: quartiles and median of the returns of all episodes of all seeds, "
-        "whiskers to 1.5 times the box, as the paper draws the episodes of one run; a point is the "
-        "mean of one seed, and their scatter is what tells M apart from chance. M = 1 is DDPG."
+        "whiskers to 1.5 times the box, specks beyond, as the paper draws the episodes of one run; "
+        "a dot is the mean of one seed, and their scatter is what tells M apart from chance. M = 1 "
+        "is DDPG."
     )
 
 

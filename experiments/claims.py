@@ -37,8 +37,9 @@ def section(plan: Plan) -> str:
         "\n\nP is the probability of improvement: the share of pairs of seeds in which the first "
         "named scores higher, with its 95 % interval over seeds (wider where one task of several "
         "is enough to contradict); n counts seeds. A verdict needs three seeds in every cell it "
-        "uses, and an exact rank-sum test beside the interval, which no comparison of three seeds "
-        "against three can pass."
+        "uses, but for C7, which is timed in rounds. Where two arms are compared (C1, C2b, C5, C9) "
+        "it needs an exact rank-sum test beside the interval, which no three seeds against three "
+        "can pass. C6 is judged by its shares, as the protocol says; their mean has the interval."
     )
 
 
@@ -137,7 +138,7 @@ def c3(plan: Plan) -> Verdict:
     evidence = (
         f"rank correlation of spread with step {_interval(step)}, with return {_interval(reward)}; "
         f"largest over median spread of the second half {_interval(spikes)}; "
-        f"{_count(found['spikes'])}"
+        f"{_count(*found.values())}"
     )
     text = "the spread of the actions falls as the return rises, with spikes that stay"
     return Verdict("C3", text, evidence, verdict)
@@ -158,7 +159,7 @@ def c4(plan: Plan) -> Verdict:
         verdict = CONTRADICTED
     evidence = (
         f"log ratio of the spread near 0° to that at 30° to 150° {_interval(peak)}; "
-        f"spread beyond 150° {_interval(top)}; {_count(ratio)}"
+        f"spread beyond 150° {_interval(top)}; {_count(ratio, spread['upright'])}"
     )
     text = "the spread peaks as the pendulum hangs down and stays above 0 upright"
     return Verdict("C4", text, evidence, verdict)
@@ -259,10 +260,11 @@ def _student(values, level: float = 0.95) -> statistics.Estimate:
     return statistics.student(values, level) if some else missing
 
 
-def _count(values) -> str:
-    """How many seeds, and how many of them have no such number."""
-    without = int((~np.isfinite(values)).sum()) if len(values) else 0
-    return f"n = {len(values)}" + (f", {without} of them without such a number" * bool(without))
+def _count(*numbers) -> str:
+    """How many seeds, and how many of them lack one of their numbers."""
+    without = int((~np.isfinite(np.array(numbers)).all(axis=0)).sum())
+    text = f"n = {len(numbers[0])}"
+    return f"{text}, {without} of them without such a number" if without else text
 
 
 def _lap_shares(plan: Plan, changes: Changes) -> list[float]:
@@ -272,5 +274,8 @@ def _lap_shares(plan: Plan, changes: Changes) -> list[float]:
 
 
 def _shares(shares: Sequence[float]) -> str:
+    if not shares:
+        return "episodes with a lap: missing"
     listed = ", ".join(f"{share:.0%}" for share in shares)
-    return f"episodes with a lap, by seed: {listed or 'missing'}"
+    mean = statistics.mean(shares)
+    return f"episodes with a lap, by seed: {listed}; mean {_interval(mean)}; n = {len(shares)}"

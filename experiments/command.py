@@ -7,8 +7,8 @@ from typing import Literal, TextIO
 
 import tyro
 
-from experiments import page, paper
-from experiments.catalogue import TITLES, Name, experiment
+from experiments import paper
+from experiments.catalogue import TITLES, Name
 from experiments.plan import Plan, make_plan
 from mapg_jax.config import PRESETS
 from mapg_jax.console import complain, refuse_politely
@@ -40,15 +40,14 @@ class Paper:
     def run(self, out: TextIO) -> None:
         plan = refuse_politely(self._plan)
         names: list[Name] = list(TITLES) if self.name == "all" else [self.name]
-        made, failures = refuse_politely(
+        made = refuse_politely(
             lambda: paper.make(plan, names, training=self.train, workers=self.workers)
         )
-        shown = page.with_all_seeds(plan)
         for name in names:
-            print(f"## {TITLES[name]}\n\n{experiment(name).section(shown)}\n", file=out)
-        print(f"all results: {made}", file=out)
-        if failures:
-            for failure in failures:
+            print(f"{made.sections[name]}\n", file=out)
+        print(f"all results: {made.page}", file=out)
+        if made.failures:
+            for failure in made.failures:
                 complain(failure, 1)
             sys.exit(1)
 

@@ -100,11 +100,10 @@ def draw(bins: Sequence[rows.Row], episode: Sequence[rows.Row]):
     figure = Figure(figsize=(10, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
     for seed in sorted({row["seed"] for row in bins}, key=int):
-        of_seed = [row for row in bins if row["seed"] == seed]
-        angle = [float(row["angle"]) for row in of_seed]
-        left.plot(
-            angle, [float(row["spread"]) for row in of_seed], marker=".", label=f"seed {seed}"
-        )
+        by_angle = {float(row["angle"]): row["spread"] for row in bins if row["seed"] == seed}
+        angle = np.arange(-180, 180, BIN) + BIN / 2
+        mean = [float(by_angle.get(a, "nan")) for a in angle]  # a gap where no state was
+        left.plot(angle, mean, marker=".", label=f"seed {seed}")
     left.set(xlabel="angle, degrees (0 hanging down)", ylabel="spread of the actions")
     left.set(xticks=range(-180, 181, 60), title="Mean over all states")
     left.set_ylim(bottom=0)

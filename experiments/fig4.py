@@ -39,5 +39,5 @@ def section(plan: Plan) -> str:
     return (
         "![With and without noise](fig4.png)\n\n"
         f"Evaluations of {plan.base.evaluation_episodes} episodes without noise, mean over seeds. "
-        "Final scores:\n\n"
+        "Final scores, with the bootstrap's 95 % interval:\n\n"
     ) + "\n".join(lines)

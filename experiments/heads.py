@@ -50,7 +50,8 @@ def section(plan: Plan) -> str:
             "![Q-gap of the heads over training](heads.png)",
             "Q-gap over the standard deviation of Q (docs/metrics.md), M = 10, mean over seeds. 0 "
             "would be proposals that the critic values alike.",
-            "Score by the rule of the actor's gradient and of the target, M = 10:",
+            "Score by the rule of the actor's gradient and of the target, M = 10, with the "
+            "bootstrap's 95 % interval over seeds:",
             rule_table(plan),
             "Score of the same policies by the choice at test time, mean over all runs of a cell:",
             select_table(plan),

@@ -11,6 +11,7 @@ from experiments import rows
 from experiments.plan import Plan
 from mapg_jax import statistics
 from mapg_jax.config import Config
+from mapg_jax.run_folder import this_process
 from mapg_jax.training import TrainState, make_trainer
 
 ROUNDS = 9
@@ -27,11 +28,18 @@ def time_arms(plan: Plan, rounds: int = ROUNDS, seconds: float = SECONDS) -> Non
     """Times every M on Hopper, interleaved, unless that was done before."""
     if (plan.measured / TIMES).exists():
         return
-    load = f"{os.getloadavg()[0]:.2f}"  # of the last minute, by others
+    process = this_process()
+    packages = {name: process["packages"][name] for name in ("jax", "jaxlib", "mujoco")}
+    where = {
+        "date": process["date"],
+        "versions": ", ".join(f"{name} {version}" for name, version in packages.items()),
+        "cores": os.cpu_count(),
+        "threads": os.environ.get("NPROC", "all"),  # of XLA
+        "load": f"{os.getloadavg()[0]:.2f}",  # of the last minute, by others
+    }
     arms = [Arm(plan, m, seconds) for m in (1, *plan.heads)]
     times = [
-        {"env": "hopper", "heads": arm.config.heads, "round": r,
-         "cores": os.cpu_count(), "load": load, **arm()}
+        {"env": "hopper", "heads": arm.config.heads, "round": r, **where, **arm()}
         for r in range(rounds)
         for arm in arms
     ]  # fmt: skip
@@ -95,6 +103,7 @@ def section(plan: Plan) -> str:
         return "Missing: nothing has been timed."
     per_step, per_update = (ratios(plan, c) for c in ("seconds_per_step", "seconds_per_update"))
     times = rows.read(plan.measured / TIMES)
+    first = times[0]
     lines = [
         "| M | µs a step | over M = 1 | µs an update | over M = 1 |",
         "|---|---|---|---|---|",
@@ -108,9 +117,9 @@ def section(plan: Plan) -> str:
             cells.append(f"{estimate.value:.2f} ({estimate.low:.2f} to {estimate.high:.2f})")
         lines.append(f"| {m} | {' | '.join(cells)} |")
     return "\n".join(lines) + (
-        f"\n\nHopper, {plan.base.environments} environments, MuJoCo's C engine, XLA with one "
-        f"thread, {times[0]['cores']} cores, load before it {times[0]['load']}. A step is one "
-        f"environment step with the updates it earns ({plan.base.updates_per_step:g} each); times "
-        f"are medians of {len(per_step[1])} interleaved rounds, ratios taken within each round, "
-        "with Student's 95 % interval."
+        f"\n\nHopper, {plan.base.environments} environments, MuJoCo's C engine; threads of XLA: "
+        f"{first['threads']}; cores: {first['cores']}; load before it: {first['load']}; "
+        f"{first['versions']}; {first['date']}. A step is one environment step with the updates it "
+        f"earns ({plan.base.updates_per_step:g} each); times are medians of {len(per_step[1])} "
+        "interleaved rounds, ratios taken within each round, with Student's 95 % interval."
     )

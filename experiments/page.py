@@ -1,6 +1,7 @@
 """results/README.md and the tables in the project's README, from what is in the results."""
 
 import pathlib
+from collections.abc import Mapping
 
 from experiments import claims, rows, scores, table2
 from experiments.catalogue import TITLES, Name, experiment, runs
@@ -15,25 +16,32 @@ shown as missing. Scores of all runs: [scores.csv](scores.csv); what else was me
 [measured](measured)."""
 
 
-def write(plan: Plan) -> pathlib.Path:
-    """Every experiment, from every seed in the results."""
+def sections(plan: Plan) -> dict[Name, str]:
+    """Every experiment, from every seed in the results; the pictures are written."""
     plan.results.mkdir(parents=True, exist_ok=True)
-    plan = with_all_seeds(plan)
-    sections = [
-        f"## {title}\n\n{experiment(name).section(plan)}\n\n{provenance(plan, name)}"
-        for name, title in TITLES.items()
-    ]
+    found: dict[Name, str] = {}
+    for name, title in TITLES.items():
+        shown = with_all_seeds(plan, name)
+        text = experiment(name).section(shown)
+        found[name] = f"## {title}\n\n{text}\n\n{provenance(shown, name)}"
+    return found
+
+
+def write(plan: Plan, sections: Mapping[Name, str]) -> pathlib.Path:
+    """The page, and the tables of the project's README."""
     page = plan.results / FILE
-    page.write_text("\n\n".join([HEAD, *sections, diverged(plan)]).rstrip() + "\n")
+    page.write_text("\n\n".join([HEAD, *sections.values(), diverged(plan)]).rstrip() + "\n")
     if is_the_papers(plan):
-        write_headline(plan, pathlib.Path("README.md"))
+        write_headline(with_all_seeds(plan, "claims"), pathlib.Path("README.md"))
     return page
 
 
-def with_all_seeds(plan: Plan) -> Plan:
-    """The plan with as many seeds as the results have: a comparison uses every one there is."""
-    seeds = [result.seed + 1 for result in scores.read_csv(scores.path(plan))]
-    return plan._replace(seeds=max([plan.seeds, *seeds]))
+def with_all_seeds(plan: Plan, name: Name) -> Plan:
+    """As many seeds as an experiment's results have: a comparison uses every one there is."""
+    most = max([0, *(result.seed + 1 for result in scores.read_csv(scores.path(plan)))])
+    widest = plan._replace(seeds=max(plan.seeds, most))
+    found = scores.of(widest, runs(widest, [name]))
+    return plan._replace(seeds=max([plan.seeds, *(result.seed + 1 for result in found)]))
 
 
 def write_headline(plan: Plan, readme: pathlib.Path) -> None:
@@ -64,7 +72,8 @@ def provenance(plan: Plan, name: Name) -> str:
     days = sorted({result.date for result in found})
     versions = " and ".join(sorted({result.versions for result in found}))
     until = f" to {days[-1]}" if len(days) > 1 else ""
-    return f"{text}, {plan.base.steps:,} steps each; {versions}; {days[0]}{until}."
+    steps = " or ".join(f"{n:,}" for n in sorted({result.steps for result in found}))
+    return f"{text}, {steps} steps each; {versions}; {days[0]}{until}."
 
 
 def diverged(plan: Plan) -> str:

@@ -4,20 +4,32 @@ import contextlib
 import fcntl
 import pathlib
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 from experiments import curves, overhead, page, rows, scores
 from experiments.catalogue import TITLES, Name, experiment, runs
 from experiments.plan import Plan
 from mapg_jax.config import Config
-from mapg_jax.results import UnfinishedError, read_run
-from mapg_jax.run_folder import RunFolder
+from mapg_jax.results import UnfinishedError, algorithm, settings, versions
+from mapg_jax.run_folder import RunFolder, this_process
+from mapg_jax.signals import StoppedError
 from mapg_jax.sweep import run_all
 from mapg_jax.worker import failure_file
 
 
+class Made(NamedTuple):
+    """What became of an invocation."""
+
+    page: pathlib.Path
+    sections: dict[Name, str]
+    """Of the page, as Markdown."""
+    failures: list[str]
+    """A line for each run that failed, or could not be measured."""
+
+
 def make(
     plan: Plan, names: Sequence[Name], *, training: bool = True, workers: int | None = None
-) -> tuple[pathlib.Path, list[str]]:
+) -> Made:
     """Trains what is missing, measures what is finished, and writes the page.
 
     Args:
@@ -26,47 +38,79 @@ def make(
       training: False makes the page from what there is.
       workers: runs side by side; by default as many as the cores and the memory allow.
 
-    Returns:
-      The page, and the failures.
-
     Raises:
-      ValueError: if the results are of another protocol, or another process is writing them.
+      ValueError: if the results are of another protocol, or another process is training for them.
+      StoppedError: on SIGINT or SIGTERM, once the runs are saved and the page is written.
     """
     refuse_other_protocols(plan)
-    with alone(plan.results):
-        failures = train(plan, names, workers) if training else []
-        measure_finished(plan, names)
-        if training and {"overhead", "claims"} & set(names):
-            overhead.time_arms(plan)
-        return page.write(plan), failures
+    failures = []
+    try:
+        if training:
+            failures = train(plan, names, workers)
+            if {"overhead", "claims"} & set(names):
+                overhead.time_arms(plan)
+    except StoppedError:
+        conclude(plan, names)
+        raise
+    made = conclude(plan, names)
+    return made._replace(failures=list(dict.fromkeys([*failures, *made.failures])))
+
+
+def conclude(plan: Plan, names: Sequence[Name]) -> Made:
+    """Measures what is finished, names what diverged, and writes the page."""
+    with locked(plan, "writing", wait=True):
+        failures = measure_finished(plan, names)
+        record_diverged(plan, runs(plan, names))
+        sections = page.sections(plan)
+        return Made(page.write(plan, sections), sections, failures)
 
 
 @contextlib.contextmanager
-def alone(folder: pathlib.Path) -> Iterator[None]:
+def locked(plan: Plan, name: str, *, wait: bool) -> Iterator[None]:
     """Two processes that add rows to the same files would lose some."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / ".lock").open("w") as lock:
+    plan.results.mkdir(parents=True, exist_ok=True)
+    with (plan.results / f".{name}.lock").open("w") as lock:
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(lock, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         except BlockingIOError:
-            raise ValueError(f"another mapg paper is writing into {folder}; wait for it") from None
+            raise ValueError(
+                f"another mapg paper is {name} for {plan.results}; wait for it, "
+                "or show what there is with --no-train"
+            ) from None
         yield
 
 
 def refuse_other_protocols(plan: Plan) -> None:
     """Results of other runs would be averaged with these, or hide them."""
-    settings = {rows.identity(config)["settings"] for config in runs(plan, list(TITLES))}
+    planned = runs(plan, list(TITLES))
+    steps: dict[tuple, set[int]] = {}
+    for config in planned:
+        arm = config.env, algorithm(config), config.heads
+        steps.setdefault(arm, {plan.base.steps}).add(config.steps)
+    known = {settings(config) for config in planned}
     found = scores.read_csv(scores.path(plan))
-    for result in found:
-        if result.steps != plan.base.steps:
+    for number, result in enumerate(found):
+        arm = result.env, result.algorithm, result.heads
+        if result.steps not in steps.get(arm, {plan.base.steps}):
             theirs = f"runs of {result.steps:,} steps, and these have {plan.base.steps:,}"
-        elif result.settings not in settings:
+        elif result.settings not in known:
             theirs = f"other settings ({result.settings or 'those of the preset paper'})"
-        elif result.versions != found[0].versions:
-            theirs = f"runs of {found[0].versions} and of {result.versions}, which do not compare"
+        elif reason := scores.difference(
+            found[:number], result.versions, result.env, result.physics
+        ):
+            theirs = f"a run that {reason}"
         else:
             continue
         raise ValueError(f"{plan.results} holds {theirs}; choose another --out")
+
+
+def refuse_to_mix(plan: Plan, waiting: Sequence[Config]) -> None:
+    """Runs begun now must compare with those there are, else hours are lost."""
+    recorded = scores.read_csv(scores.path(plan))
+    for env, config in {config.env: config for config in waiting}.items():
+        ours = versions(config, [this_process()])
+        if reason := scores.difference(recorded, ours, env, config.make_env().backend):
+            raise ValueError(f"what would be trained here {reason}; choose another --out")
 
 
 def train(plan: Plan, names: Sequence[Name], workers: int | None) -> list[str]:
@@ -76,50 +120,57 @@ def train(plan: Plan, names: Sequence[Name], workers: int | None) -> list[str]:
         {k: row[k] for k in rows.COLUMNS} for row in rows.read(plan.measured / rows.DIVERGED)
     ]
     waiting = [config for config in runs(plan, names) if rows.identity(config) not in recorded]
+    refuse_to_mix(plan, waiting)
     unmeasured: list[str] = []
 
     def add(folder: RunFolder) -> None:
-        try:
-            measure(plan, folder)
-        except (ValueError, OSError) as error:  # which must not stop the other runs
-            unmeasured.append(f"{folder.path}: {error}")
+        with locked(plan, "writing", wait=True):
+            unmeasured.extend(measure(plan, folder))
 
-    failures = run_all(
-        [(config, plan.folder(config)) for config in waiting], workers=workers, on_finished=add
-    )
-    record_diverged(plan, waiting)
-    return failures + unmeasured
+    jobs = [(config, plan.folder(config)) for config in waiting]
+    with locked(plan, "training", wait=False):
+        return run_all(jobs, workers=workers, on_finished=add) + unmeasured
 
 
 def record_diverged(plan: Plan, configs: Sequence[Config]) -> None:
     """They are named, count as missing, and would only diverge again."""
+    file = plan.measured / rows.DIVERGED
     for config in configs:
-        file = failure_file(plan.folder(config))
-        reason = file.read_text().strip() if file.exists() else ""
-        if "no longer finite" in reason:
-            new = [{**rows.identity(config), "reason": reason.splitlines()[0]}]
-            rows.append(plan.measured / rows.DIVERGED, new)
+        failure = failure_file(plan.folder(config))
+        reason = failure.read_text().strip() if failure.exists() else ""
+        if "no longer finite" in reason and not rows.holds(file, rows.identity(config)):
+            rows.append(file, [{**rows.identity(config), "reason": reason.splitlines()[0]}])
 
 
-def measure(plan: Plan, folder: RunFolder) -> None:
-    """Adds all that is measured on a finished run, and is not there yet, to the results."""
+def measure(plan: Plan, folder: RunFolder) -> list[str]:
+    """Adds all that is measured on a finished run, and is not there yet, to the results.
+
+    Returns:
+      What went wrong, which must not stop the other runs; nothing, or one line.
+    """
     key = rows.identity(folder.config)
-    scores.measure(plan, folder)
-    curves.measure(plan, folder)
-    for name in TITLES:
-        module = experiment(name)
-        if hasattr(module, "measure") and key in map(rows.identity, module.runs(plan)):
-            module.measure(plan, folder)
+    try:
+        scores.measure(plan, folder)
+        curves.measure(plan, folder)
+        for name in TITLES:
+            module = experiment(name)
+            if hasattr(module, "measure") and key in map(rows.identity, module.runs(plan)):
+                module.measure(plan, folder)
+    except UnfinishedError:
+        return []
+    except (ValueError, OSError) as error:
+        return [f"{folder.path}: {error}"]
+    return []
 
 
-def measure_finished(plan: Plan, names: Sequence[Name]) -> None:
-    """Measures those of the runs whose folders are there and finished."""
+def measure_finished(plan: Plan, names: Sequence[Name]) -> list[str]:
+    """Measures those of the runs whose folders are there and finished; gives the failures."""
+    failures = []
     for config in runs(plan, names):
-        if not plan.folder(config).exists():
-            continue
-        folder = RunFolder.open(plan.folder(config))
-        if folder.config != config:
-            raise ValueError(f"{folder.path} holds a run of another configuration")
-        with contextlib.suppress(UnfinishedError):
-            read_run(folder)
-            measure(plan, folder)
+        if plan.folder(config).exists():
+            folder = RunFolder.open(plan.folder(config))
+            if folder.config == config:
+                failures += measure(plan, folder)
+            else:
+                failures.append(f"{folder.path} holds a run of another configuration")
+    return failures

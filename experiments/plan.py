@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 from mapg_jax.config import PRESETS, Config
+from mapg_jax.results import algorithm
 
 TASKS = ("hopper", "walker2d", "humanoid", "halfcheetah", "swimmer")
 HEADS = (5, 10, 20, 50)
@@ -99,11 +100,10 @@ def is_the_papers(plan: Plan) -> bool:
 
 def name(config: Config, base: Config) -> str:
     """The folder of a run, by what sets it apart: `hopper-ddpg-m1-s0`."""
-    algorithm = "ddpg" if (config.algorithm, config.heads) == ("mapg", 1) else config.algorithm
-    parts = [config.env, algorithm, f"m{config.heads}"]
-    for field in ("noise", "gradient", "target"):
+    parts = [config.env, algorithm(config), f"m{config.heads}"]
+    for field in ("steps", "noise", "gradient", "target"):
         if getattr(config, field) != getattr(base, field):
-            parts.append(getattr(config, field))
+            parts.append(str(getattr(config, field)))
     return "-".join([*parts, f"s{config.seed}"])
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mapg_jax.config import Config
-from mapg_jax.results import Result, settings
+from mapg_jax.results import Result, algorithm, settings
 
 Row = Mapping[str, Any]
 COLUMNS = ("env", "algorithm", "heads", "seed", "steps", "settings")
@@ -16,10 +16,9 @@ DIVERGED = "diverged.csv"
 
 def identity(config: Config) -> dict[str, str]:
     """COLUMNS of a run; text, as a CSV file gives it back."""
-    algorithm = "ddpg" if (config.algorithm, config.heads) == ("mapg", 1) else config.algorithm
     return {
         "env": config.env,
-        "algorithm": algorithm,
+        "algorithm": algorithm(config),
         "heads": str(config.heads),
         "seed": str(config.seed),
         "steps": str(config.steps),
@@ -53,7 +52,7 @@ def append(path: pathlib.Path, new: Sequence[Row]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(".partial")
     with partial.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(new[0]))
+        writer = csv.DictWriter(file, list(new[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows([*read(path), *new])
     partial.replace(path)

@@ -1,5 +1,6 @@
 """The scores of finished runs, in one CSV file."""
 
+import json
 import pathlib
 from collections.abc import Sequence
 
@@ -18,20 +19,39 @@ def path(plan: Plan) -> pathlib.Path:
 
 
 def measure(plan: Plan, folder: RunFolder) -> None:
-    """Adds the score of a run.
+    """Adds the score of a run, unless it is there.
 
     Raises:
-      ValueError: if the run was scored otherwise than by the protocol.
+      ValueError: if the run was scored otherwise than by the protocol, or does not compare with
+        those that are there.
     """
     result = read_run(folder)
-    scored = (result.select, result.episodes)
-    wanted = ("uniform", folder.config.final_episodes)
-    if scored != wanted:
+    recorded = read_csv(path(plan))
+    if rows.identity_of(result) in map(rows.identity_of, recorded):
+        return  # whatever the run was scored by since
+    record = json.loads(folder.evaluation.read_text())
+    episodes = folder.config.final_episodes
+    wanted = {"select": "uniform", "physics": folder.config.make_env().backend,
+              "seed": 0, "episodes": episodes}  # fmt: skip
+    other = [f"{name} {record[name]}" for name, value in wanted.items() if record[name] != value]
+    if other:
         raise ValueError(
-            f"{folder.path} was scored by {scored[0]} over {scored[1]} episodes; "
-            f"score it by: mapg evaluate {folder.path} --episodes {wanted[1]}"
+            f"{folder.path} was scored with {', '.join(other)}; "
+            f"score it by: mapg evaluate {folder.path} --episodes {episodes}"
         )
+    if reason := difference(recorded, result.versions, result.env, result.physics):
+        raise ValueError(f"{folder.path} {reason}")
     append_csv(path(plan), [result])
+
+
+def difference(recorded: Sequence[Result], versions: str, env: str, physics: str) -> str:
+    """Why a run of those versions and physics does not compare with those there are; or ''."""
+    for result in recorded:
+        if result.versions != versions:
+            return f"is of {versions}, which does not compare with {result.versions}"
+        if (result.env, result.physics) != (env, physics) and result.env == env:
+            return f"ran on {physics}, which does not compare with {result.physics}"
+    return ""
 
 
 def of(plan: Plan, runs: Sequence[Config]) -> list[Result]:
@@ -49,10 +69,10 @@ def means(plan: Plan, runs: Sequence[Config]) -> np.ndarray:
 
 
 def summary(values: Sequence[float] | np.ndarray) -> str:
-    """Mean, and Student's interval where there are seeds enough."""
+    """Mean, and its bootstrap interval where there are seeds enough."""
     if not len(values):
         return "missing"
-    estimate = statistics.student(values)
+    estimate = statistics.mean(values)
     if not np.isfinite(estimate.low):
         return f"{estimate.value:.0f} (n = {len(values)})"
     return f"{estimate.value:.0f} ({estimate.low:.0f} to {estimate.high:.0f}; n = {len(values)})"

@@ -36,9 +36,9 @@ def section(plan: Plan) -> str:
         return rows.missing(runs(plan))
     return "\n\n".join(
         (
-            "Mean ± 3σ over the 100 episodes of a run, as the paper prints it; ours are averages "
-            "of both over n seeds. The paper's tasks are the v1 of 2017, ours Gymnasium's v5; "
-            "Humanoid has 348 dimensions here (the paper's 376 less 28 zeros).",
+            f"Mean ± 3σ over the {plan.base.final_episodes} episodes of a run, as the paper prints "
+            "it; ours are averages of both over n seeds. The paper's tasks are the v1 of 2017, "
+            "ours Gymnasium's v5. Humanoid has 348 dimensions here: the paper's 376 less 28 zeros.",
             beside_the_paper(plan),
             "A3C acts by samples of its Gaussian, as in training; by its mean: "
             f"{mean_action(plan)}.",

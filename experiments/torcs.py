@@ -6,6 +6,7 @@ import numpy as np
 
 from experiments import scores
 from experiments.plan import DDPG, DRIVING, MAPG, Plan
+from mapg_jax import statistics
 from mapg_jax.config import Config
 from mapg_jax.results import Result
 
@@ -31,28 +32,36 @@ def section(plan: Plan) -> str:
     ]
     for label, changes in ARMS.items():
         found = scores.of(plan, arm(plan, changes))
-        lines += [_line(label, PAPER[label], [result]) for result in found]
-        lines.append(_line(f"**{label}**", PAPER[label], found))
+        lines += [_seed(label, result) for result in found]
+        lines.append(_mean(label, found))
     options = ", ".join(DRIVING["env_options"])
     return "\n".join(lines) + (
-        f"\n\nMeans of 100 episodes, each of at most {DRIVING['time_limit']} steps (200 s), on "
-        f"`speedway` (1996 m; {options}: docs/driving.md says how they were chosen). The paper "
-        "drove another track in TORCS: compare the signs, not the metres."
+        f"\n\nMeans of {plan.base.final_episodes} episodes, each of at most "
+        f"{DRIVING['time_limit']} steps (200 s), on `speedway` (1996 m; {options}: docs/driving.md "
+        "says how they were chosen); in the bold lines the mean over n seeds, with its 95 % "
+        "interval. The paper drove another track in TORCS: compare the signs, not the metres."
     )
 
 
-def _line(label: str, paper: int, found: Sequence[Result]) -> str:
-    if not found:
-        return f"| {label} | | missing | | | | {paper} |"
-    seeds = str(found[0].seed) if len(found) == 1 and "*" not in label else f"n = {len(found)}"
-    numbers = np.mean(
-        [
-            [getattr(r, c) for c in ("distance_mean", "laps_mean", "lap_share", "return_mean")]
-            for r in found
-        ],
-        0,
-    )
-    distance, laps, share, score = numbers
+def _seed(label: str, result: Result) -> str:
     return (
-        f"| {label} | {seeds} | {distance:.0f} | {laps:.1f} | {share:.0%} | {score:.0f} | {paper} |"
+        f"| {label} | {result.seed} | {result.distance_mean:.0f} | {result.laps_mean:.1f} | "
+        f"{result.lap_share:.0%} | {result.return_mean:.0f} | |"
     )
+
+
+def _mean(label: str, found: Sequence[Result]) -> str:
+    if not found:
+        return f"| **{label}** | | missing | | | | {PAPER[label]} |"
+    columns = [[getattr(r, c) for r in found] for c in ("distance_mean", "laps_mean", "lap_share")]
+    distance, laps, share = map(statistics.mean, columns)
+    score = statistics.mean([result.return_mean for result in found])
+    return (
+        f"| **{label}** | n = {len(found)} | {_text(distance)} | {_text(laps, '.1f')} | "
+        f"{_text(share, '.0%')} | {_text(score)} | {PAPER[label]} |"
+    )
+
+
+def _text(estimate: statistics.Estimate, digits: str = ".0f") -> str:
+    value, low, high = (format(number, digits) for number in estimate)
+    return f"{value} ({low} to {high})" if np.isfinite(estimate.low) else value

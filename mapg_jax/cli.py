@@ -63,14 +63,11 @@ class Resume:
 
     def run(self, out: TextIO) -> None:
         if SweepFolder.is_one(self.path):
-            sweep_command.go(refuse_politely(self._sweep), out)
+            if self.steps is not None:
+                sys.exit(complain(f"{self.path} is a sweep; --steps trains a run of it further", 2))
+            sweep_command.resume(self.path, out)
         else:
             self._resume_run(out)
-
-    def _sweep(self) -> SweepFolder:
-        if self.steps is not None:
-            raise ValueError(f"{self.path} is a sweep; --steps trains a run of it further")
-        return SweepFolder.open(self.path)
 
     def _resume_run(self, out: TextIO) -> None:
         run = refuse_politely(lambda: resume(self.path, self.steps))

@@ -120,7 +120,8 @@ def draw_boxes(
 ) -> "Figure":
     """A panel a task, a place an arm, and a dot a seed; from five numbers on a box.
 
-    A box has quartiles and median, and whiskers to 1.5 times its height.
+    A box has quartiles and median, whiskers to 1.5 times its height, and a speck for each number
+    beyond.
 
     Args:
       tasks: by task and arm, the numbers of every seed: its score alone, or the return of each of
@@ -137,7 +138,7 @@ def draw_boxes(
                     numbers,
                     positions=[place],
                     widths=0.6,
-                    showfliers=False,
+                    flierprops={"marker": ".", "markersize": 2},
                     medianprops={"color": COLOURS[2], "linewidth": 2},
                 )
             aside = 0.3 * (np.arange(len(seeds)) - (len(seeds) - 1) / 2) / max(1, len(seeds))

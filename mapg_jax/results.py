@@ -12,7 +12,7 @@ import os
 import pathlib
 import shlex
 import typing
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -86,16 +86,14 @@ def read_run(folder: RunFolder | str | os.PathLike) -> Result:
     with _reading(folder.path / "config.json") as record:
         history = record["history"]
         origin: dict[str, Any] = {
-            "versions": _versions(config, history),
+            "versions": versions(config, history),
             "date": history[-1].get("date") or _day(folder.evaluation),
             "command": str(history[0]["command"]),
         }
     with _reading(folder.evaluation) as score:
         return Result(
             env=config.env.lower(),
-            algorithm="ddpg"
-            if (config.algorithm, config.heads) == ("mapg", 1)
-            else config.algorithm,
+            algorithm=algorithm(config),
             heads=config.heads,
             seed=config.seed,
             steps=int(last["env_steps"]),
@@ -128,6 +126,11 @@ def find_runs(path: str | os.PathLike) -> list[RunFolder]:
     return found
 
 
+def algorithm(config: Config) -> str:
+    """Its name in results: MAPG with M = 1 is DDPG."""
+    return "ddpg" if (config.algorithm, config.heads) == ("mapg", 1) else config.algorithm
+
+
 def settings(config: Config) -> str:
     """Every field that bears on learning or the task and is not the preset paper's."""
     paper = Config()
@@ -135,6 +138,18 @@ def settings(config: Config) -> str:
     values = {name: getattr(config, name) for name in sorted(names)}
     values["env_options"] = tuple(sorted(config.env_options))
     return shlex.join(f"{k}={_text(v)}" for k, v in values.items() if v != getattr(paper, k))
+
+
+def versions(config: Config, history: Iterable[Mapping[str, Any]]) -> str:
+    """The packages that define the task, of every process of a run, in order, where they differ.
+
+    Args:
+      config: of the run.
+      history: of its folder, or `run_folder.this_process()` alone.
+    """
+    names = ("gymnasium", "mujoco", *(["brax"] if config.env.startswith("brax:") else []))
+    texts = (", ".join(f"{n} {process['packages'][n]}" for n in names) for process in history)
+    return "; ".join(dict.fromkeys(texts))
 
 
 def compared_settings(result: Result) -> str:
@@ -293,13 +308,6 @@ def _driving(metrics: dict[str, list[float]]) -> dict[str, Any]:
         found["laps_mean"] = float(np.mean(metrics["laps"]))
         found["lap_share"] = float(np.mean(np.array(metrics["laps"]) >= 1))
     return found
-
-
-def _versions(config: Config, history: list[dict[str, Any]]) -> str:
-    """Of every process of the run, in their order, where they differ."""
-    names = ("gymnasium", "mujoco", *(["brax"] if config.env.startswith("brax:") else []))
-    texts = (", ".join(f"{n} {process['packages'][n]}" for n in names) for process in history)
-    return "; ".join(dict.fromkeys(texts))
 
 
 def _text(value: Any) -> str:

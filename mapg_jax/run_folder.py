@@ -82,14 +82,18 @@ class RunFolder:
         """Everything needed to run it again, and every command that went on with it."""
         file = self.path / "config.json"
         earlier = json.loads(file.read_text())["history"] if file.exists() else []
-        process = {
-            "command": shlex.join(["mapg", *sys.argv[1:]]),
-            "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
-            "python": platform.python_version(),
-            "packages": {name: _version(name) for name in PACKAGES},
-        }
         config = dataclasses.asdict(self.config)
-        write_json(file, {"config": config, "history": [*earlier, process]})
+        write_json(file, {"config": config, "history": [*earlier, this_process()]})
+
+
+def this_process() -> dict[str, Any]:
+    """The command, day and versions of what is running, as a run's history holds them."""
+    return {
+        "command": shlex.join(["mapg", *sys.argv[1:]]),
+        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+        "python": platform.python_version(),
+        "packages": {name: _version(name) for name in PACKAGES},
+    }
 
 
 def make_folder(path: pathlib.Path) -> None:

@@ -23,22 +23,47 @@ from mapg_jax.workers import Worker, leave_the_memory_to_workers, own_cores, sha
 POLL_SECONDS = 0.5
 
 
-def run_all(
+class Plan(NamedTuple):
+    """What a sweep will do."""
+
+    groups: list[Group]
+    workers: int
+    keep_replay: bool
+
+
+def make_plan(
     runs: Sequence[tuple[Config, pathlib.Path]],
     *,
     workers: int | None = None,
     group: Grouping = "auto",
     keep_replay: bool = False,
-    on_finished: Callable[[RunFolder], None] | None = None,
-    progress: bool = True,
-) -> list[str]:
-    """Starts what is missing, goes on with what was cut off, skips what is finished, in order.
+) -> Plan:
+    """What is missing, in groups, and how many processes will do it.
 
     Args:
       runs: configurations and folders.
       workers: processes side by side; by default as many as cores and memory allow.
       group: how many runs share a program, see `grouping.Grouping`.
       keep_replay: whether finished runs can be trained further.
+
+    Raises:
+      ValueError: if a folder holds another run, or memory or disk do not suffice.
+    """
+    leave_the_memory_to_workers()
+    jobs = [job for job in unique_jobs(runs) if not _finished(job)]
+    waiting = groups(jobs, group)
+    count = workers_that_fit(waiting, workers)
+    refuse_a_full_disk(waiting, count, keep_replay)
+    return Plan(waiting, count, keep_replay)
+
+
+def carry_out(
+    plan: Plan, on_finished: Callable[[RunFolder], None] | None = None, progress: bool = True
+) -> list[str]:
+    """Starts what is missing and goes on with what was cut off, in order.
+
+    Args:
+      plan: what is missing.
       on_finished: called with the folder of each run that finishes, in this process.
       progress: whether to show it on standard error.
 
@@ -46,11 +71,8 @@ def run_all(
       A line for each run that failed; none of them stops the others.
 
     Raises:
-      ValueError: before anything is written, if a folder holds another run, or memory or disk
-        do not suffice.
       StoppedError: on SIGINT or SIGTERM, once all workers have saved their state.
     """
-    plan = make_plan(runs, workers=workers, group=group, keep_replay=keep_replay)
     pool = _Pool(plan)
     with caught_signals() as signals, SweepTable(plan.groups, plan.workers, progress) as table:
         try:
@@ -77,28 +99,18 @@ def run_all(
     return table.failures
 
 
-class Plan(NamedTuple):
-    """What a sweep will do."""
-
-    groups: list[Group]
-    workers: int
-    keep_replay: bool
-
-
-def make_plan(
+def run_all(
     runs: Sequence[tuple[Config, pathlib.Path]],
     *,
     workers: int | None = None,
     group: Grouping = "auto",
     keep_replay: bool = False,
-) -> Plan:
-    """What is missing, in groups, and how many processes will do it; see `run_all`."""
-    leave_the_memory_to_workers()
-    jobs = [job for job in unique_jobs(runs) if not _finished(job)]
-    waiting = groups(jobs, group)
-    count = workers_that_fit(waiting, workers)
-    refuse_a_full_disk(waiting, count, keep_replay)
-    return Plan(waiting, count, keep_replay)
+    on_finished: Callable[[RunFolder], None] | None = None,
+    progress: bool = True,
+) -> list[str]:
+    """Carries out the plan of some runs; see `make_plan` and `carry_out`."""
+    plan = make_plan(runs, workers=workers, group=group, keep_replay=keep_replay)
+    return carry_out(plan, on_finished, progress)
 
 
 class _Pool:

@@ -17,11 +17,11 @@ import rich.table
 import tyro
 
 from mapg_jax import grid, timing
-from mapg_jax.config import Config
+from mapg_jax.config import PRESETS, Config
 from mapg_jax.console import complain, console, refuse_politely
 from mapg_jax.grouping import disk_bytes, group_bytes
 from mapg_jax.signals import StoppedError
-from mapg_jax.sweep import Plan, make_plan, run_all
+from mapg_jax.sweep import Plan, carry_out, make_plan
 from mapg_jax.sweep_folder import SweepFolder
 
 
@@ -51,14 +51,20 @@ class SweepOptions:
     """Where the defaults below come from."""
 
     def run(self, out: TextIO) -> None:
-        folder, plan = refuse_politely(self._prepare)
+        folder = refuse_politely(self.folder)
+        plan = refuse_politely(lambda: _plan(folder))
         if self.dry_run:
             _show_plan(plan, self.measure, out)
             return
         refuse_politely(folder.create)
-        go(folder, out)
+        _go(folder, plan, out)
 
-    def _prepare(self) -> tuple[SweepFolder, Plan]:
+    def folder(self) -> SweepFolder:
+        """What the flags ask for; nothing is written.
+
+        Raises:
+          ValueError: if the grid is empty, or the folder exists.
+        """
         values = {f.name: getattr(self.grid, f.name) for f in dataclasses.fields(Config)}
         if self.seeds is not None:
             if self.seeds < 1:
@@ -74,16 +80,14 @@ class SweepOptions:
         for name, several in values.items():
             if not several:
                 raise ValueError(f"the grid is empty: --{name.replace('_', '-')} has no values")
-        base = dataclasses.replace(Config(), **{k: v[0] for k, v in values.items()})
-        values = {k: v for k, v in values.items() if len(v) > 1}
+        # From the base of no flag: with algorithm=a3c in it, it would lose what only MAPG reads.
+        base = PRESETS[self.preset]
+        values = {k: v for k, v in values.items() if v != (getattr(base, k),)}
         folder = SweepFolder(self.out, base, values, self.group, self.workers, self.keep_replay)
-        runs = folder.runs()
-        same = grid.size(values) - len(runs)
+        same = grid.size(values) - len(folder.runs())
         if same:
             print(f"{same} cells are equal to others and are run once", file=sys.stderr)
-        return folder, make_plan(
-            runs, workers=self.workers, group=self.group, keep_replay=self.keep_replay
-        )
+        return folder
 
 
 def parse(flags: list[str], base: Config) -> SweepOptions:
@@ -91,21 +95,30 @@ def parse(flags: list[str], base: Config) -> SweepOptions:
     return tyro.cli(_command(base), prog="mapg sweep", args=flags)
 
 
-def go(folder: SweepFolder, out: TextIO) -> None:
-    """Runs what is missing of a sweep; prints its scores, and its failures before it exits with 1.
+def resume(path: pathlib.Path, out: TextIO) -> None:
+    """Runs what is missing of a sweep.
 
     Raises:
       StoppedError: on SIGINT or SIGTERM, once all state is saved.
     """
-    runs = folder.runs()
-    options = {"workers": folder.workers, "group": folder.group, "keep_replay": folder.keep_replay}
-    refuse_politely(lambda: make_plan(runs, **options))
+    folder = refuse_politely(lambda: SweepFolder.open(path))
+    _go(folder, refuse_politely(lambda: _plan(folder)), out)
+
+
+def _plan(folder: SweepFolder) -> Plan:
+    return make_plan(
+        folder.runs(), workers=folder.workers, group=folder.group, keep_replay=folder.keep_replay
+    )
+
+
+def _go(folder: SweepFolder, plan: Plan, out: TextIO) -> None:
+    """Carries it out; prints the scores, and the failures before it exits with 1."""
     try:
-        failures = run_all(runs, **options)
+        failures = carry_out(plan)
     except StoppedError as stopped:
         raise StoppedError(stopped.number, f"mapg resume {folder.path}") from None
     table = rich.table.Table("run", "mean", "std", "episodes")
-    for _, path in runs:
+    for _, path in folder.runs():
         cells = "missing", "", ""
         if (file := path / "evaluation.json").exists():
             score = json.loads(file.read_text())

@@ -68,14 +68,16 @@ class Worker:
 
     def failures(self) -> dict[pathlib.Path, str]:
         """Why the runs that did not finish did not, once it has ended."""
-        log = self._log.read_text(errors="replace").strip()
-        last = log.splitlines()[-1] if log else f"exit status {self._process.returncode}"
+        *_, last = ["", *self._log.read_text(errors="replace").strip().splitlines()]
+        code = self._process.returncode
+        ended = f"killed by signal {-code}" if code < 0 else f"exit status {code}"
+        reason = f"{ended}; last output: {last}" if last else ended
         reasons = {}
         for folder in self.folders:
             if not is_finished(folder):
                 file = failure_file(folder.path)
                 if not file.exists():
-                    file.write_text(f"{last}\n")
+                    file.write_text(f"{reason}\n")
                 reasons[folder.path] = file.read_text().strip()
         return reasons
 

@@ -13,7 +13,7 @@ from typing import ClassVar
 import oracles
 import pytest
 
-from mapg_jax import cli, grouping, sweep, sweep_table
+from mapg_jax import cli, grouping, sweep, sweep_command, sweep_table
 from mapg_jax.config import Config
 from mapg_jax.finishing import is_finished
 from mapg_jax.grouping import Job, groups, workers_that_fit
@@ -245,7 +245,7 @@ def test_a_worker_is_pinned_and_one_that_dies_is_reported(tmp_path):
     os.kill(worker.pid, signal.SIGKILL)
     worker.wait()
     assert worker.crashed()
-    assert worker.failures() == {tmp_path / "run": "exit status -9"}
+    assert worker.failures() == {tmp_path / "run": "killed by signal 9"}
 
 
 # ----- the command
@@ -278,6 +278,18 @@ def test_bad_input_is_named_and_leaves_nothing(flags, message, tmp_path, monkeyp
     assert (stop.value.code, out) == (2, "")
     assert message in err and err.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_the_order_of_values_changes_no_cell(tmp_path):
+    """A3C has no heads and no noise, and takes neither from the cells of MAPG."""
+    flags = f"--heads 10 --noise none --gradient all --out {tmp_path / 'here'} --algorithm".split()
+
+    def cells(*algorithms):
+        folder = sweep_command.parse([*flags, *algorithms], Config()).folder()
+        return {config for config, _ in folder.runs()}
+
+    mapg = Config(heads=10, noise="none", gradient="all")
+    assert cells("a3c", "mapg") == cells("mapg", "a3c") == {mapg, Config(algorithm="a3c")}
 
 
 def test_a_full_disk_is_refused(tmp_path, monkeypatch, capfd):

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import signal
 
 import pytest
 
@@ -10,8 +11,8 @@ from experiments.catalogue import Name
 from experiments.plan import A3C, MAPG, NO_NOISE, Plan, in_order, make_plan, name
 from mapg_jax.config import PRESETS
 from mapg_jax.results import append_csv
-from mapg_jax.run_folder import RunFolder
-from mapg_jax.scoring import evaluate
+from mapg_jax.run_folder import RunFolder, write_json
+from mapg_jax.signals import StoppedError
 from mapg_jax.worker import failure_file
 
 NAMES: list[Name] = ["table2", "fig2", "fig3"]
@@ -31,20 +32,20 @@ def test_steps_that_no_whole_number_of_turns_makes_are_refused(tmp_path):
 def made(tmp_path_factory):
     """A plan whose runs are trained: DDPG, A3C and M = 10 of Pendulum."""
     plan = small(tmp_path_factory.mktemp("paper"))
-    _, failures = paper.make(plan, NAMES, workers=2)
-    assert failures == []
+    assert paper.make(plan, NAMES, workers=2).failures == []
     return plan
 
 
 def test_a_command_trains_measures_and_draws(made):
     found = scores.of(made, paper.runs(made, NAMES))
-    arms = [(r.env, r.algorithm, r.heads) for r in found]
+    arms = [(r.env, r.algorithm, r.heads, r.steps) for r in found]
     assert sorted(arms) == [
-        ("pendulum", "a3c", 1),
-        ("pendulum", "ddpg", 1),
-        ("pendulum", "mapg", 10),
+        ("pendulum", "a3c", 1, 320),
+        ("pendulum", "ddpg", 1, 320),
+        ("pendulum", "mapg", 10, 160),
+        ("pendulum", "mapg", 10, 320),
     ]
-    assert {(r.steps, r.episodes) for r in found} == {(320, 4)}
+    assert {r.episodes for r in found} == {4}
     text = (made.results / "README.md").read_text()
     for picture in ("fig2.png", "fig3.png"):
         assert f"({picture})" in text
@@ -56,7 +57,7 @@ def test_a_command_trains_measures_and_draws(made):
 
 
 def test_the_score_is_that_of_the_run(made):
-    (config,) = paper.runs(made, ["fig2"])
+    (config,) = paper.runs(made, ["fig3"])
     record = json.loads((made.folder(config) / "evaluation.json").read_text())
     (result,) = scores.of(made, [config])
     assert (result.return_mean, result.episodes) == (record["mean"], len(record["returns"]))
@@ -86,7 +87,7 @@ def test_what_is_in_the_results_is_not_trained_again(made, tmp_path):
 
 
 def test_other_steps_do_not_mix(made):
-    with pytest.raises(ValueError, match="holds runs of 320 steps, and these have 640"):
+    with pytest.raises(ValueError, match="holds runs of 160 steps, and these have 640"):
         longer = make_plan("smoke", 640, 1, made.runs, made.results)
         paper.make(longer, NAMES, training=False)
 
@@ -101,23 +102,43 @@ def test_scores_of_two_versions_of_the_tasks_do_not_mix(made, tmp_path):
     mixed = made._replace(results=tmp_path)
     found = scores.of(made, paper.runs(made, NAMES))
     append_csv(scores.path(mixed), [found[0], found[1]._replace(versions="mujoco 9")])
-    with pytest.raises(ValueError, match=r"runs of .* and of mujoco 9, which do not compare"):
+    with pytest.raises(ValueError, match=r"is of mujoco 9, which does not compare with gym"):
         paper.make(mixed, NAMES, training=False)
 
 
-def test_a_score_by_another_choice_is_refused(made, tmp_path):
-    (config,) = paper.runs(made, ["fig2"])
+@pytest.mark.parametrize("other", [{"versions": "mujoco 9"}, {"physics": "mjx"}])
+def test_nothing_is_trained_that_would_not_compare(made, tmp_path, other):
+    mixed = made._replace(runs=tmp_path / "runs", results=tmp_path / "results")
+    found = scores.of(made, paper.runs(made, ["fig3"]))
+    append_csv(scores.path(mixed), [found[0]._replace(**other)])
+    with pytest.raises(ValueError, match=r"what would be trained here .* does not compare with"):
+        paper.make(mixed, NAMES)
+    assert not mixed.runs.exists()
+
+
+@pytest.mark.parametrize(
+    "other", [{"select": "mean"}, {"seed": 7}, {"physics": "gymnasium"}, {"episodes": 3}]
+)
+def test_a_score_by_another_measure_is_refused_but_one_that_is_there_stays(made, tmp_path, other):
+    (config,) = paper.runs(made, ["fig3"])
     shutil.copytree(made.folder(config), tmp_path / "run")
-    evaluate(tmp_path / "run", episodes=4, select="mean")
-    with pytest.raises(ValueError, match="was scored by mean over 4 episodes; score it by"):
-        scores.measure(made._replace(results=tmp_path), RunFolder.open(tmp_path / "run"))
+    folder = RunFolder.open(tmp_path / "run")
+    write_json(folder.evaluation, json.loads(folder.evaluation.read_text()) | other)
+    (name, value) = next(iter(other.items()))
+    elsewhere = made._replace(results=tmp_path)
+    (failure,) = paper.measure(elsewhere, folder)
+    assert f"was scored with {name} {value}; score it by: mapg evaluate" in failure
+    assert scores.of(elsewhere, [config]) == []
+    before = scores.path(made).read_bytes()
+    scores.measure(made, folder)
+    assert scores.path(made).read_bytes() == before
 
 
 def test_the_page_shows_every_seed_there_is(made, tmp_path):
     more = made._replace(results=tmp_path)
     found = scores.of(made, paper.runs(made, ["table2"]))
     append_csv(scores.path(more), [*found, *(result._replace(seed=1) for result in found)])
-    assert "(n = 2)" in page.write(more).read_text()
+    assert "(n = 2)" in page.sections(more)["table2"]
 
 
 def test_a_run_that_diverged_is_named_and_not_tried_again(made, tmp_path):
@@ -125,15 +146,30 @@ def test_a_run_that_diverged_is_named_and_not_tried_again(made, tmp_path):
     wanted = paper.runs(plan, ["fig2"])
     plan.folder(wanted[0]).mkdir(parents=True)
     failure_file(plan.folder(wanted[0])).write_text("a loss is no longer finite at step 64\n")
-    paper.record_diverged(plan, wanted)
+    for _ in range(2):
+        paper.record_diverged(plan, wanted)
     assert paper.train(plan, ["fig2"], workers=1) == []
-    assert "pendulum, mapg, M = 10, seed 0" in page.diverged(plan)
+    assert page.diverged(plan).count("pendulum, mapg, M = 10, seed 0") == 1
 
 
-def test_two_processes_do_not_write_the_same_results(tmp_path):
-    refused = pytest.raises(ValueError, match="another mapg paper")
-    with paper.alone(tmp_path), refused, paper.alone(tmp_path):
-        pass
+def test_what_is_finished_is_shown_when_training_is_stopped(made, tmp_path, monkeypatch):
+    def stopped(*_, **__):
+        raise StoppedError(signal.SIGTERM, "the same command")
+
+    monkeypatch.setattr(paper, "run_all", stopped)
+    plan = made._replace(results=tmp_path)
+    with pytest.raises(StoppedError):
+        paper.make(plan, NAMES)
+    shown, finished = (scores.of(p, paper.runs(p, NAMES)) for p in (plan, made))
+    assert set(shown) == set(finished)
+    assert "3 of 3 runs finished" in (tmp_path / page.FILE).read_text()
+
+
+def test_two_processes_do_not_train_for_the_same_results_but_one_may_look(made):
+    with paper.locked(made, "training", wait=False):
+        with pytest.raises(ValueError, match="another mapg paper is training for"):
+            paper.train(made, ["fig2"], workers=1)
+        assert paper.make(made, ["fig2"], training=False).failures == []
 
 
 def test_a_damaged_file_is_refused(made, tmp_path):
@@ -142,7 +178,7 @@ def test_a_damaged_file_is_refused(made, tmp_path):
     for text, message in (("env,heads\nx,\n", "no column"), ("env\nx,y\n", "other columns")):
         (plan.measured / "curves.csv").write_text(text)
         with pytest.raises(ValueError, match=message):
-            page.write(plan)
+            page.sections(plan)
 
 
 def test_overhead_is_timed_in_rounds(tmp_path):

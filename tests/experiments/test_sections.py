@@ -1,0 +1,96 @@
+"""The sections of the page and the tables of the README, from rows as runs would have written."""
+
+import pytest
+from written import result, write, write_laps
+
+from experiments import boxes, heads, overhead, page, rows, scores
+from experiments.plan import A3C, DDPG, MAPG, make_plan
+from mapg_jax import statistics
+from mapg_jax.results import append_csv
+
+
+@pytest.fixture
+def plan(tmp_path, monkeypatch):
+    monkeypatch.setattr(statistics, "RESAMPLES", 200)
+    return make_plan("paper", 1600, 1, tmp_path / "runs", tmp_path / "results")
+
+
+def is_picture(path):
+    return path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_table_2_stands_beside_the_papers_numbers(plan):
+    write(plan, "hopper", DDPG, [100, 200, 600])
+    write(plan, "hopper", A3C, [50])
+    text = page.sections(plan)["table2"]
+    assert "| hopper | here | 300 ± 3 (n = 3) | 50 ± 3 (n = 1) | missing |" in text
+    assert "| | the paper | 603 ± 76 | 532 ± 105 |" in text
+    assert "`mapg paper table2 --seeds 3 --steps 1600`: 4 of 90 runs finished" in text
+
+
+@pytest.mark.parametrize(("name", "env"), [("fig1", "walker2d"), ("fig5", "swimmer")])
+def test_boxes_of_the_episodes(plan, name, env):
+    config = plan.config(env, **MAPG)
+    lines = [{**rows.identity(config), "returns": " ".join(map(str, range(100)))}]
+    rows.append(plan.measured / boxes.FILE, lines)
+    sections = page.sections(plan)
+    assert f"![Score over M]({name}.png)" in sections[name]
+    assert is_picture(plan.results / f"{name}.png")
+    found = boxes.by_task(plan, rows.read(plan.measured / boxes.FILE), [env])[env]
+    assert {m: [x.mean() for x in seeds] for m, seeds in found.items() if seeds} == {"10": [49.5]}
+
+
+def test_laps_and_metres(plan):
+    write_laps(plan, DDPG, [0.0, 0.0, 0.0])
+    write_laps(plan, MAPG, [0.5])
+    text = page.sections(plan)["torcs"]
+    assert "| DDPG | 2 | 0 | 0.0 | 0% | 0 | |" in text
+    assert "| **DDPG** | n = 3 | 0 (0 to 0) | 0.0 (0.0 to 0.0) | 0% (0% to 0%) |" in text
+    assert "| **MAPG, M = 10** | n = 1 | 500 | 0.5 | 50% | 50 | 5882 |" in text
+
+
+def test_noise_and_rules_have_the_interval_of_the_protocol(plan):
+    """The percentile bootstrap, which cannot leave the range of the scores."""
+    write(plan, "halfcheetah", MAPG, [1, 2, 6])
+    row = "| halfcheetah | 3 (1 to 6; n = 3) | missing | missing | missing |"
+    assert row in heads.rule_table(plan._replace(seeds=3))
+
+
+def test_overhead_is_relative_to_one_head(plan):
+    where = {"versions": "jax 1", "date": "2026-01-01", "cores": 2, "threads": 1, "load": 0.0}
+    times = [
+        {"heads": m, "round": r, "seconds_per_step": (1 + r) * ratio * 1e-6,
+         "seconds_per_update": 2e-6, **where}
+        for r in range(3)
+        for m, ratio in ((1, 1.0), (10, 1.25))
+    ]  # fmt: skip
+    rows.append(plan.measured / overhead.TIMES, times)
+    text = page.sections(plan)["overhead"]
+    assert "| 10 | 2 | 1.25 (1.25 to 1.25) | 2 | 1.00 (1.00 to 1.00) |" in text
+    assert "jax 1; 2026-01-01" in text
+
+
+def test_seeds_of_one_experiment_do_not_make_others_incomplete(plan):
+    write(plan, "hopper", DDPG, [1, 2, 3, 4])
+    write_laps(plan, DDPG, [0.0])
+    sections = page.sections(plan)
+    assert "`mapg paper fig1 --seeds 4" in sections["fig1"]
+    assert "`mapg paper torcs --seeds 1 --steps 1600`: 1 of 2 runs" in sections["torcs"]
+
+
+def test_the_readme_gets_its_tables_between_its_comments(plan, tmp_path):
+    append_csv(scores.path(plan), [result(plan.config("hopper", **DDPG), 7)])
+    readme = tmp_path / "README.md"
+    readme.write_text(
+        "before\n<!-- table 2 -->\nold\n<!-- /table 2 -->\nbetween\n"
+        "<!-- claims -->\n<!-- /claims -->\nafter\n"
+    )
+    page.write_headline(plan, readme)
+    lines = readme.read_text().splitlines()
+    assert "old" not in lines and "| hopper | here | 7 ± 3 (n = 1) |" in readme.read_text()
+    assert [line for line in lines if line in ("before", "between", "after")] == [
+        "before", "between", "after",
+    ]  # fmt: skip
+    assert lines.index("between") < lines.index("| | claim | verdict |") < lines.index("after")
+    page.write_headline(plan, readme)
+    assert readme.read_text().splitlines() == lines

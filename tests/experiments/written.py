@@ -1,0 +1,43 @@
+"""Rows of results as runs would have written them."""
+
+import numpy as np
+
+from experiments import curves, fig2, rows, scores
+from experiments.plan import DRIVING, MAPG
+from mapg_jax.results import Result, append_csv
+
+
+def result(config, score, **extra) -> Result:
+    key = rows.identity(config) | {
+        "heads": config.heads, "seed": config.seed, "steps": config.steps
+    }  # fmt: skip
+    rest = {"return_std": 1.0, "episodes": 100, "select": "uniform", "physics": "native",
+            "versions": "", "seconds": 1.0, "date": "2026-01-01", "command": ""}  # fmt: skip
+    return Result(**key, return_mean=float(score), **{**rest, **extra})
+
+
+def write(plan, env, changes, values):
+    """Scores of a cell, a value a seed."""
+    found = [result(plan.config(env, seed, **changes), x) for seed, x in enumerate(values)]
+    append_csv(scores.path(plan), found)
+
+
+def write_laps(plan, changes, shares):
+    """Of driving, the share of the episodes that complete a lap, a value a seed."""
+    found = [
+        result(plan.config("driving", seed, **DRIVING, **changes), 100 * share, physics="jax",
+               distance_mean=1000 * share, laps_mean=share, lap_share=share)
+        for seed, share in enumerate(shares)
+    ]  # fmt: skip
+    append_csv(scores.path(plan), found)
+
+
+def write_curve(plan, env, seed, **columns):
+    """Of M = 10; on Pendulum that of Figure 2."""
+    config = fig2.runs(plan)[seed] if env == "pendulum" else plan.config(env, seed, **MAPG)
+    length = len(next(iter(columns.values())))
+    columns = {name: np.zeros(length) for name in curves.COLUMNS} | columns
+    lines = [
+        {**rows.identity(config), **{k: v[i] for k, v in columns.items()}} for i in range(length)
+    ]
+    rows.append(plan.measured / curves.FILE, lines)
