@@ -91,7 +91,7 @@ def over_tasks(
         if env in tasks:
             task = tasks[env]
             estimate = (task.wide if verdict == CONTRADICTED else task.narrow)[0]
-            evidence.append(f"{env} {_interval(estimate)}, {task.seeds}")
+            evidence.append(f"{env} {estimate:.3g}, {task.seeds}")
         else:
             evidence.append(f"{env} missing")
     return Verdict(claim, text, f"{statistic}: " + "; ".join(evidence), verdict)
@@ -128,7 +128,7 @@ def c2b(plan: Plan) -> Verdict:
 def c3(plan: Plan) -> Verdict:
     found = fig2.statistics_by_seed(plan)
     n = len(found["spikes"])
-    step, reward, spikes = (_student(values) for values in found.values())
+    step, reward, spikes = (statistics.student(values) for values in found.values())
     correlations = [statistics.verdict(e, 0.0, n) for e in (step, reward)]
     verdict = UNDECIDED
     if correlations == ["below", "below"] and statistics.verdict(spikes, 2.0, n) == "above":
@@ -136,8 +136,8 @@ def c3(plan: Plan) -> Verdict:
     elif "above" in correlations:
         verdict = CONTRADICTED
     evidence = (
-        f"rank correlation of spread with step {_interval(step)}, with return {_interval(reward)}; "
-        f"largest over median spread of the second half {_interval(spikes)}; "
+        f"rank correlation of spread with step {step:.3g}, with return {reward:.3g}; "
+        f"largest over median spread of the second half {spikes:.3g}; "
         f"{_count(*found.values())}"
     )
     text = "the spread of the actions falls as the return rises, with spikes that stay"
@@ -149,8 +149,8 @@ def c4(plan: Plan) -> Verdict:
     n = len(spread["upright"])
     with np.errstate(divide="ignore", invalid="ignore"):  # no spread, no ratio
         ratio = np.log(spread["hanging"] / spread["between"])
-    peak = _student(ratio)
-    top = _student(spread["upright"])
+    peak = statistics.student(ratio)
+    top = statistics.student(spread["upright"])
     sides = [statistics.verdict(peak, 0.0, n), statistics.verdict(top, 0.02, n)]
     verdict = UNDECIDED
     if sides == ["above", "above"]:
@@ -158,8 +158,8 @@ def c4(plan: Plan) -> Verdict:
     elif "below" in sides:
         verdict = CONTRADICTED
     evidence = (
-        f"log ratio of the spread near 0° to that at 30° to 150° {_interval(peak)}; "
-        f"spread beyond 150° {_interval(top)}; {_count(ratio, spread['upright'])}"
+        f"log ratio of the spread near 0° to that at 30° to 150° {peak:.3g}; "
+        f"spread beyond 150° {top:.3g}; {_count(ratio, spread['upright'])}"
     )
     text = "the spread peaks as the pendulum hangs down and stays above 0 upright"
     return Verdict("C4", text, evidence, verdict)
@@ -200,12 +200,10 @@ def c6b(plan: Plan) -> Verdict:
 
 def c7(plan: Plan) -> Verdict:
     ratios = overhead.ratios(plan, "seconds_per_step").get(10, [])
-    estimate = _student(ratios)
+    estimate = statistics.student(ratios)
     side = statistics.verdict(estimate, 1.5, len(ratios)) if len(ratios) >= 7 else UNDECIDED
     verdict = {"below": SUPPORTED, "above": CONTRADICTED}.get(side, UNDECIDED)
-    evidence = (
-        f"time of a training step, M = 10 over M = 1: {_interval(estimate)}, {len(ratios)} rounds"
-    )
+    evidence = f"time of a training step, M = 10 over M = 1: {estimate:.3g}, {len(ratios)} rounds"
     return Verdict("C7", "M costs little time", evidence, verdict)
 
 
@@ -214,7 +212,7 @@ def c8(plan: Plan) -> Verdict:
     for env in plan.tasks:
         gaps = heads.gap_by_seed(plan, env)
         if gaps:
-            estimates = [(_student(gaps, level), level) for level in _levels(plan.tasks)]
+            estimates = [(statistics.student(gaps, level), level) for level in _levels(plan.tasks)]
             sides = [(e, statistics.verdict(e, 0.1, len(gaps), level=lv)) for e, lv in estimates]
             tasks[env] = Task(sides[0], sides[1], _count(gaps))
     text = "all proposals of an optimal policy have the same expected return"
@@ -245,21 +243,6 @@ def _levels(envs: Sequence[str]) -> tuple[float, float]:
     return 0.95, 1 - 0.05 / len(envs)
 
 
-def _interval(estimate: statistics.Estimate) -> str:
-    if not np.isfinite(estimate.value):
-        return "missing"
-    if not np.isfinite(estimate.low):
-        return f"{estimate.value:.3g} (no interval)"
-    return f"{estimate.value:.3g} ({estimate.low:.3g} to {estimate.high:.3g})"
-
-
-def _student(values, level: float = 0.95) -> statistics.Estimate:
-    """Over seeds; nan where there are none, or one of them has no such number."""
-    missing = statistics.Estimate(np.nan, np.nan, np.nan)
-    some = len(values) and np.isfinite(values).all()
-    return statistics.student(values, level) if some else missing
-
-
 def _count(*numbers) -> str:
     """How many seeds, and how many of them lack one of their numbers."""
     without = int((~np.isfinite(np.array(numbers)).all(axis=0)).sum())
@@ -278,4 +261,4 @@ def _shares(shares: Sequence[float]) -> str:
         return "episodes with a lap: missing"
     listed = ", ".join(f"{share:.0%}" for share in shares)
     mean = statistics.mean(shares)
-    return f"episodes with a lap, by seed: {listed}; mean {_interval(mean)}; n = {len(shares)}"
+    return f"episodes with a lap, by seed: {listed}; mean {mean:.3g}; n = {len(shares)}"

@@ -5,6 +5,7 @@ import scipy.stats
 
 from experiments import curves, rows
 from experiments.plan import MAPG, Plan
+from mapg_jax import statistics
 from mapg_jax.config import Config
 
 STEPS = 100_000
@@ -33,8 +34,25 @@ def section(plan: Plan) -> str:
         "![Spread and return during training](fig2.png)\n\n"
         f"Pendulum, M = 10, n = {len(found)} seeds, a line a seed; runs of {config.steps:,} steps, "
         f"with an evaluation of {config.evaluation_episodes} episodes without noise every "
-        f"{config.evaluate_every:,}. The spread is in units of the range [-1, 1] of actions."
+        f"{config.evaluate_every:,}. The spread is in units of the range [-1, 1] of actions.\n\n"
+        "Rank correlation of spread with return, mean over seeds with Student's 95 % interval: "
+        f"{_while_learning(found)} over the first tenth of the steps, in which the return rises. "
+        "Over all steps, as the protocol has it, it is in the ledger (C3): nine tenths of those "
+        "evaluations come after the rise, and rank little but the starts that were drawn. The "
+        "first number was added when the second had been seen, and enters no verdict."
     )
+
+
+def _while_learning(found: list[dict[str, np.ndarray]]) -> str:
+    first = [curve["env_steps"] <= curve["env_steps"][-1] / 10 for curve in found]
+    pairs = [(c["spread"][f], c["return_mean"][f]) for c, f in zip(found, first, strict=True)]
+    return f"{statistics.student([_correlation(*pair) for pair in pairs]):.2f}"
+
+
+def _correlation(x: np.ndarray, y: np.ndarray) -> float:
+    """Spearman's; nan where a number never changes and has no rank."""
+    ranked = np.ptp(x) > 0 and np.ptp(y) > 0
+    return float(scipy.stats.spearmanr(x, y).statistic) if ranked else np.nan
 
 
 def draw(found: list[dict[str, np.ndarray]]):
@@ -48,8 +66,8 @@ def draw(found: list[dict[str, np.ndarray]]):
         upper.plot(curve["env_steps"], curve["return_mean"], linewidth=1, label=label)
         lower.plot(curve["env_steps"], curve["spread"], linewidth=1)
     upper.set(ylabel="return", title="Pendulum, M = 10")
-    upper.legend()
-    lower.set(xlabel="environment steps", ylabel="spread of the actions")
+    figure.legend(loc="outside right upper", frameon=False)
+    lower.set(xlabel="environment steps", ylabel="spread of the actions", xscale="log")
     lower.set_ylim(bottom=0)
     return figure
 
@@ -63,9 +81,7 @@ def statistics_by_seed(plan: Plan) -> dict[str, list[float]]:
     for curve in curves.of(plan, runs(plan)):
         spread = curve["spread"]
         for name, other in (("step", curve["env_steps"]), ("return", curve["return_mean"])):
-            ranked = np.ptp(spread) > 0 and np.ptp(other) > 0
-            correlation = scipy.stats.spearmanr(spread, other).statistic if ranked else np.nan
-            found[f"spread with {name}"].append(float(correlation))
+            found[f"spread with {name}"].append(_correlation(spread, other))
         later = spread[curve["env_steps"] > curve["env_steps"][-1] / 2]
         median = np.median(later)
         found["spikes"].append(float(later.max() / median) if median > 0 else np.nan)

@@ -113,8 +113,7 @@ def section(plan: Plan) -> str:
         cells = []
         for column, ratio in (("seconds_per_step", per_step), ("seconds_per_update", per_update)):
             cells.append(f"{1e6 * np.median([float(row[column]) for row in of_m]):.0f}")
-            estimate = statistics.student(ratio[m])
-            cells.append(f"{estimate.value:.2f} ({estimate.low:.2f} to {estimate.high:.2f})")
+            cells.append(f"{statistics.student(ratio[m]):.2f}")
         lines.append(f"| {m} | {' | '.join(cells)} |")
     return "\n".join(lines) + (
         f"\n\nHopper, {plan.base.environments} environments, MuJoCo's C engine; threads of XLA: "

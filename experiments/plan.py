@@ -115,8 +115,9 @@ def in_order(plan: Plan, wanted: Iterable[Config]) -> list[Config]:
         core = _is_core(config, plan.base) and (config.noise == plan.base.noise or not first)
         # Seed 0 of the core, the rest of seed 0, the core seed by seed, the rest seed by seed.
         stage = (0 if core else 1) if first else (2 if core else 3)
-        slow = config.env == "humanoid"
-        return stage, config.seed, slow, config.env, config.heads, name(config, plan.base)
+        slow = config.env == "humanoid"  # four times as long: two turns after the others
+        turn = config.seed + 2 * slow
+        return stage, turn, slow, config.env, config.heads, name(config, plan.base)
 
     return sorted(dict.fromkeys(wanted), key=rank)
 

@@ -72,7 +72,4 @@ def summary(values: Sequence[float] | np.ndarray) -> str:
     """Mean, and its bootstrap interval where there are seeds enough."""
     if not len(values):
         return "missing"
-    estimate = statistics.mean(values)
-    if not np.isfinite(estimate.low):
-        return f"{estimate.value:.0f} (n = {len(values)})"
-    return f"{estimate.value:.0f} ({estimate.low:.0f} to {estimate.high:.0f}; n = {len(values)})"
+    return f"{statistics.mean(values):.0f}, n = {len(values)}"

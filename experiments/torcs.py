@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from experiments import scores
 from experiments.plan import DDPG, DRIVING, MAPG, Plan
 from mapg_jax import statistics
@@ -57,11 +55,6 @@ def _mean(label: str, found: Sequence[Result]) -> str:
     distance, laps, share = map(statistics.mean, columns)
     score = statistics.mean([result.return_mean for result in found])
     return (
-        f"| **{label}** | n = {len(found)} | {_text(distance)} | {_text(laps, '.1f')} | "
-        f"{_text(share, '.0%')} | {_text(score)} | {PAPER[label]} |"
+        f"| **{label}** | n = {len(found)} | {distance:.0f} | {laps:.1f} | "
+        f"{share:.0%} | {score:.0f} | {PAPER[label]} |"
     )
-
-
-def _text(estimate: statistics.Estimate, digits: str = ".0f") -> str:
-    value, low, high = (format(number, digits) for number in estimate)
-    return f"{value} ({low} to {high})" if np.isfinite(estimate.low) else value

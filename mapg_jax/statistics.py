@@ -27,6 +27,13 @@ class Estimate(NamedTuple):
     low: float
     high: float
 
+    def __format__(self, digits: str) -> str:
+        """As f"{estimate:.3g}" gives it: 1.5 (1.2 to 1.9)."""
+        if math.isnan(self.value):
+            return "missing"
+        value, low, high = (format(number, digits) for number in self)
+        return f"{value} (no interval)" if math.isnan(self.low) else f"{value} ({low} to {high})"
+
 
 class Comparison(NamedTuple):
     """One arm against another on one task."""
@@ -109,8 +116,13 @@ def spearman(groups: Mapping[int, Scores], level: float = LEVEL) -> Estimate:
 
 
 def student(values: Scores, level: float = LEVEL) -> Estimate:
-    """Mean of a number that each seed has, with Student's interval."""
-    (sample,) = _samples([values])
+    """Mean of a number that each seed has, with Student's interval.
+
+    nan where there are no seeds, or the number of one of them is not finite.
+    """
+    sample = np.sort(np.asarray(values, float))
+    if not len(sample) or not np.isfinite(sample).all():
+        return Estimate(math.nan, math.nan, math.nan)
     centre, n = float(sample.mean()), len(sample)
     if n < 2:
         return Estimate(centre, math.nan, math.nan)

@@ -240,11 +240,21 @@ def test_a_verdict_is_rarely_wrong():
     assert wrong / trials < 0.05 + 4 * math.sqrt(0.05 * 0.95 / trials)
 
 
+def test_a_number_that_a_seed_lacks_has_no_mean():
+    for values in ([], [1.0, math.nan], [1.0, -math.inf]):
+        assert all(map(math.isnan, student(values)))
+
+
+def test_an_estimate_as_text():
+    assert f"{Estimate(0.123456, 0.1, 0.2):.3g}" == "0.123 (0.1 to 0.2)"
+    assert f"{Estimate(0.5, math.nan, math.nan):.0%}" == "50% (no interval)"
+    assert f"{student([]):.3g}" == "missing"
+
+
 def test_bad_scores_are_refused():
     for scores, message in (([], "no scores"), ([1.0, math.nan], "not finite")):
-        for function in (mean, student):
-            with pytest.raises(ValueError, match=message):
-                function(scores)
+        with pytest.raises(ValueError, match=message):
+            mean(scores)
         with pytest.raises(ValueError, match=message):
             probability_of_improvement([1.0, 2.0], scores)
     with pytest.raises(ValueError, match="no scores"):

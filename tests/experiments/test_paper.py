@@ -203,6 +203,9 @@ def test_the_order_does_not_depend_on_the_experiment():
     later = folders.index("hopper-ddpg-m1-s1")
     assert folders.index("humanoid-mapg-m50-s0") < later < folders.index("hopper-mapg-m5-s1")
     assert in_order(plan, reversed(ordered)) == ordered
+    more = [name(c, plan.base) for c in paper.runs(plan._replace(seeds=4), ["table2"])]
+    after = more.index("humanoid-ddpg-m1-s1")
+    assert more.index("hopper-ddpg-m1-s2") < after < more.index("humanoid-mapg-m10-s2")
 
 
 def test_names_say_what_sets_a_run_apart():

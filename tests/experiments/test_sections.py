@@ -46,13 +46,13 @@ def test_laps_and_metres(plan):
     text = page.sections(plan)["torcs"]
     assert "| DDPG | 2 | 0 | 0.0 | 0% | 0 | |" in text
     assert "| **DDPG** | n = 3 | 0 (0 to 0) | 0.0 (0.0 to 0.0) | 0% (0% to 0%) |" in text
-    assert "| **MAPG, M = 10** | n = 1 | 500 | 0.5 | 50% | 50 | 5882 |" in text
+    assert "| **MAPG, M = 10** | n = 1 | 500 (no interval) | 0.5 (no interval) |" in text
 
 
 def test_noise_and_rules_have_the_interval_of_the_protocol(plan):
     """The percentile bootstrap, which cannot leave the range of the scores."""
     write(plan, "halfcheetah", MAPG, [1, 2, 6])
-    row = "| halfcheetah | 3 (1 to 6; n = 3) | missing | missing | missing |"
+    row = "| halfcheetah | 3 (1 to 6), n = 3 | missing | missing | missing |"
     assert row in heads.rule_table(plan._replace(seeds=3))
 
 
