@@ -167,12 +167,12 @@ def c4(plan: Plan) -> Verdict:
 
 def c5a(plan: Plan) -> Verdict:
     text = "M = 10 without noise explores as well as DDPG with it"
-    return pairwise(plan, "C5a", text, fig4.ENVS, {**MAPG, **NO_NOISE}, DDPG)
+    return pairwise(plan, "C5a", text, plan.studied, {**MAPG, **NO_NOISE}, DDPG)
 
 
 def c5b(plan: Plan) -> Verdict:
     text = "with noise M = 10 beats DDPG"
-    return pairwise(plan, "C5b", text, fig4.ENVS, MAPG, DDPG)
+    return pairwise(plan, "C5b", text, plan.studied, MAPG, DDPG)
 
 
 def c6a(plan: Plan) -> Verdict:

@@ -5,7 +5,6 @@ from experiments.plan import DDPG, MAPG, NO_NOISE, Plan
 from mapg_jax.config import Config
 from mapg_jax.plotting import draw_curves
 
-ENVS = ("pendulum", "halfcheetah")
 ARMS = {
     "DDPG with noise": DDPG,
     "DDPG without": {**DDPG, **NO_NOISE},
@@ -15,7 +14,7 @@ ARMS = {
 
 
 def runs(plan: Plan) -> list[Config]:
-    return [config for env in ENVS for label in ARMS for config in arm(plan, env, label)]
+    return [config for env in plan.studied for label in ARMS for config in arm(plan, env, label)]
 
 
 def arm(plan: Plan, env: str, label: str) -> list[Config]:
@@ -25,7 +24,7 @@ def arm(plan: Plan, env: str, label: str) -> list[Config]:
 
 def section(plan: Plan) -> str:
     """The picture, and the final scores."""
-    tasks = {env: {k: curves.of(plan, arm(plan, env, k)) for k in ARMS} for env in ENVS}
+    tasks = {env: {k: curves.of(plan, arm(plan, env, k)) for k in ARMS} for env in plan.studied}
     tasks = {env: {k: v for k, v in arms.items() if v} for env, arms in tasks.items()}
     tasks = {env: arms for env, arms in tasks.items() if arms}
     if not tasks:
@@ -33,7 +32,7 @@ def section(plan: Plan) -> str:
     figure = draw_curves(tasks)
     figure.savefig(plan.results / "fig4.png", dpi=120)
     lines = [f"| task | {' | '.join(ARMS)} |", "|---|" + "---|" * len(ARMS)]
-    for env in ENVS:
+    for env in plan.studied:
         cells = [scores.summary(scores.means(plan, arm(plan, env, label))) for label in ARMS]
         lines.append(f"| {env} | {' | '.join(cells)} |")
     return (

@@ -6,9 +6,6 @@ from mapg_jax.config import Config
 from mapg_jax.plotting import draw_curves
 from mapg_jax.run_folder import RunFolder
 
-ENVS = ("pendulum", "halfcheetah")
-"""Where the rules are compared."""
-
 
 def runs(plan: Plan) -> list[Config]:
     return [*rule_runs(plan), *gap_runs(plan)]
@@ -18,7 +15,7 @@ def rule_runs(plan: Plan) -> list[Config]:
     """M = 10 under every rule."""
     return [
         config
-        for env in ENVS
+        for env in plan.studied
         for changes in RULES.values()
         for config in plan.over_seeds(env, **MAPG, **changes)
     ]
@@ -68,7 +65,7 @@ def gap_by_seed(plan: Plan, env: str) -> list[float]:
 def rule_table(plan: Plan) -> str:
     """Mean score by rule."""
     lines = [f"| task | {' | '.join(RULES)} |", "|---|" + "---|" * len(RULES)]
-    for env in ENVS:
+    for env in plan.studied:
         cells = [
             scores.summary(scores.means(plan, plan.over_seeds(env, **MAPG, **changes)))
             for changes in RULES.values()

@@ -14,8 +14,6 @@ from mapg_jax.config import Config
 from mapg_jax.run_folder import this_process
 from mapg_jax.training import TrainState, make_trainer
 
-ROUNDS = 9
-SECONDS = 1.0  # of each arm in a round
 TIMES = "overhead.csv"
 
 
@@ -24,10 +22,11 @@ def runs(plan: Plan) -> list[Config]:
     return []
 
 
-def time_arms(plan: Plan, rounds: int = ROUNDS, seconds: float = SECONDS) -> None:
+def time_arms(plan: Plan) -> None:
     """Times every M on Hopper, interleaved, unless that was done before."""
     if (plan.measured / TIMES).exists():
         return
+    rounds, seconds = plan.timing
     process = this_process()
     packages = {name: process["packages"][name] for name in ("jax", "jaxlib", "mujoco")}
     where = {

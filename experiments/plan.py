@@ -21,6 +21,8 @@ DRIVING: Mapping[str, Any] = {
 }
 EVALUATIONS = {"paper": 40, "smoke": 10}
 """In training; whole episodes of 1,000 steps, so that many of them would be most of a smoke run."""
+TIMING = {"paper": (9, 1.0), "smoke": (3, 0.1)}
+"""Of the heads' cost: rounds, and seconds of each M in a round."""
 RULES: Mapping[str, Mapping[str, Any]] = {
     "stored": {},
     "resampled": {"gradient": "resampled"},
@@ -44,6 +46,9 @@ class Plan(NamedTuple):
     """Of Table 2."""
     heads: tuple[int, ...] = HEADS
     """M, beside DDPG's 1."""
+    studied: tuple[str, ...] = ("pendulum", "halfcheetah")
+    """Tasks on which noise and the rules of the heads are compared."""
+    timing: tuple[int, float] = TIMING["paper"]
     flags: str = ""
     """Of the command, beside the seeds."""
 
@@ -90,7 +95,7 @@ def make_plan(
         )
     every = max(1, base.steps // EVALUATIONS[preset])
     base = dataclasses.replace(base, evaluate_every=every, checkpoints_kept=1)
-    return Plan(base, seeds, runs, results, flags=flags)
+    return Plan(base, seeds, runs, results, timing=TIMING[preset], flags=flags)
 
 
 def is_the_papers(plan: Plan) -> bool:

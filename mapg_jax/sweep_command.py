@@ -80,9 +80,10 @@ class SweepOptions:
         for name, several in values.items():
             if not several:
                 raise ValueError(f"the grid is empty: --{name.replace('_', '-')} has no values")
-        # From the base of no flag: with algorithm=a3c in it, it would lose what only MAPG reads.
-        base = PRESETS[self.preset]
-        values = {k: v for k, v in values.items() if v != (getattr(base, k),)}
+        # Not the first of several: a base with algorithm=a3c would lose what only MAPG reads.
+        single = {k: v[0] for k, v in values.items() if len(v) == 1}
+        base = dataclasses.replace(PRESETS[self.preset], **single)
+        values = {k: v for k, v in values.items() if len(v) > 1}
         folder = SweepFolder(self.out, base, values, self.group, self.workers, self.keep_replay)
         same = grid.size(values) - len(folder.runs())
         if same:

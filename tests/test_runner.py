@@ -249,6 +249,7 @@ def test_an_ignored_signal_stays_ignored(interrupts):
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
+@pytest.mark.usefixtures("quick_compilation")
 def test_sigterm_saves_and_resume_completes(tmp_path):
     path = tmp_path / "run"
     command = [sys.executable, "-m", "mapg_jax"]

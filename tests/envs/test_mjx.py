@@ -11,7 +11,7 @@ import envs
 from envs.base import with_episodes
 from envs.engines.contact_frames import mujoco_contact_frames
 
-COMPILED_BY_DEFAULT = ("inverted_pendulum", "hopper")
+COMPILED_BY_DEFAULT = ("hopper",)
 TRACED_BY_DEFAULT = ("ant",)  # whose fields MJX keeps in several places
 CONTACT_FORCES_SEEN = ("ant", "humanoid", "humanoid_standup")  # stiff: 1e-7 m is much force
 INSTANCES = 16
