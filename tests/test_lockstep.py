@@ -142,7 +142,7 @@ def test_a_run_that_diverges_does_not_stop_the_others(whole, tmp_path):
 
 
 def test_it_ends_when_none_is_left(tmp_path):
-    cells = [dataclasses.replace(cell, critic_learning_rate=1e30) for cell in CELLS[:2]]
+    cells = [dataclasses.replace(cell, critic_learning_rate=1e30) for cell in CELLS]
     with pytest.raises(DivergedError, match="at step 16"):
         lockstep_run(cells, tmp_path).go()
 

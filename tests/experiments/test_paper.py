@@ -21,7 +21,8 @@ NAMES: list[Name] = list(TITLES)
 
 def small(folder) -> Plan:
     plan = make_plan("smoke", 320, 1, folder / "runs", folder / "results")
-    base = dataclasses.replace(plan.base, final_episodes=plan.base.evaluation_episodes)
+    few = {"evaluate_every": 160, "final_episodes": plan.base.evaluation_episodes}
+    base = dataclasses.replace(plan.base, **few)
     return plan._replace(
         base=base, tasks=("pendulum",), heads=(10,), studied=("pendulum",), timing=(2, 0.01)
     )
