@@ -50,8 +50,8 @@ def _while_learning(found: list[dict[str, np.ndarray]]) -> str:
 
 
 def _correlation(x: np.ndarray, y: np.ndarray) -> float:
-    """Spearman's; nan where a number never changes and has no rank."""
-    ranked = np.ptp(x) > 0 and np.ptp(y) > 0
+    """Spearman's; nan where there is nothing to rank, or a number never changes."""
+    ranked = len(x) > 1 and np.ptp(x) > 0 and np.ptp(y) > 0
     return float(scipy.stats.spearmanr(x, y).statistic) if ranked else np.nan
 
 

@@ -11,7 +11,7 @@ from experiments.catalogue import TITLES, Name, experiment, runs
 from experiments.plan import Plan
 from mapg_jax.config import Config
 from mapg_jax.results import UnfinishedError, algorithm, settings, versions
-from mapg_jax.run_folder import RunFolder, this_process
+from mapg_jax.run_folder import RunFolder, is_blank, this_process
 from mapg_jax.signals import StoppedError
 from mapg_jax.sweep import run_all
 from mapg_jax.worker import failure_file
@@ -167,10 +167,15 @@ def measure_finished(plan: Plan, names: Sequence[Name]) -> list[str]:
     """Measures those of the runs whose folders are there and finished; gives the failures."""
     failures = []
     for config in runs(plan, names):
-        if plan.folder(config).exists():
+        if is_blank(plan.folder(config)):
+            continue
+        try:
             folder = RunFolder.open(plan.folder(config))
-            if folder.config == config:
-                failures += measure(plan, folder)
-            else:
-                failures.append(f"{folder.path} holds a run of another configuration")
+        except ValueError as error:
+            failures.append(str(error))
+            continue
+        if folder.config == config:
+            failures += measure(plan, folder)
+        else:
+            failures.append(f"{folder.path} holds a run of another configuration")
     return failures

@@ -93,6 +93,17 @@ def test_results_are_made_again_from_the_run_folders(made, tmp_path):
         assert old == new and old, file
 
 
+def test_a_folder_that_cannot_be_read_does_not_stop_the_others(made, tmp_path):
+    plan = made._replace(runs=tmp_path / "runs", results=tmp_path / "results")
+    whole, broken = paper.runs(plan, ["fig2", "fig3"])
+    shutil.copytree(made.folder(whole), plan.folder(whole))
+    plan.folder(broken).mkdir()
+    (plan.folder(broken) / "config.json").write_text("{")
+    (failure,) = paper.make(plan, ["fig2", "fig3"], training=False).failures
+    assert f"{plan.folder(broken)}/config.json is damaged" in failure
+    assert [result.steps for result in scores.of(plan, [broken, whole])] == [whole.steps]
+
+
 def test_what_is_in_the_results_is_not_trained_again(made, tmp_path):
     elsewhere = made._replace(runs=tmp_path)
     assert paper.train(elsewhere, NAMES, workers=1) == []
