@@ -91,7 +91,7 @@ def spec(name: str) -> EnvSpec:
     return _SPECS[name]
 
 
-def make(name: str, engine: str = "auto", **options: Any) -> Env:
+def make(name: str, /, engine: str = "auto", **options: Any) -> Env:
     """The bare task `name`: `done` is termination only; no time limit and no automatic reset.
 
     Args:

@@ -30,11 +30,12 @@ def section(plan: Plan) -> str:
         return rows.missing(runs(plan))
     draw(found).savefig(plan.results / "fig2.png", dpi=120)
     config = runs(plan)[0]
+    every = np.median(np.diff(found[0]["env_steps"], prepend=0))
     return (
         "![Spread and return during training](fig2.png)\n\n"
         f"Pendulum, M = 10, n = {len(found)} seeds, a line a seed; runs of {config.steps:,} steps, "
         f"with an evaluation of {config.evaluation_episodes} episodes without noise every "
-        f"{config.evaluate_every:,}. The spread is in units of the range [-1, 1] of actions.\n\n"
+        f"{every:,.0f}. The spread is in units of the range [-1, 1] of actions.\n\n"
         "Rank correlation of spread with return, mean over seeds with Student's 95 % interval: "
         f"{_while_learning(found)} over the first tenth of the steps, in which the return rises. "
         "Over all steps, as the protocol has it, it is in the ledger (C3): nine tenths of those "

@@ -1,5 +1,6 @@
 """Time per training step and per update over M: what the heads cost (C7)."""
 
+import itertools
 import os
 import time
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from experiments.plan import Plan
 from mapg_jax import statistics
 from mapg_jax.config import Config
 from mapg_jax.run_folder import this_process
+from mapg_jax.signals import StoppedError, caught_signals
 from mapg_jax.training import TrainState, make_trainer
 
 TIMES = "overhead.csv"
@@ -23,7 +25,11 @@ def runs(plan: Plan) -> list[Config]:
 
 
 def time_arms(plan: Plan) -> None:
-    """Times every M on Hopper, interleaved, unless that was done before."""
+    """Times every M on Hopper, interleaved, unless that was done before.
+
+    Raises:
+      StoppedError: on SIGINT or SIGTERM; rounds are compared as a whole, and none is kept.
+    """
     if (plan.measured / TIMES).exists():
         return
     rounds, seconds = plan.timing
@@ -36,12 +42,13 @@ def time_arms(plan: Plan) -> None:
         "threads": os.environ.get("NPROC", "all"),  # of XLA
         "load": f"{os.getloadavg()[0]:.2f}",  # of the last minute, by others
     }
-    arms = [Arm(plan, m, seconds) for m in (1, *plan.heads)]
-    times = [
-        {"env": "hopper", "heads": arm.config.heads, "round": r, **where, **arm()}
-        for r in range(rounds)
-        for arm in arms
-    ]  # fmt: skip
+    times = []
+    with caught_signals() as signals:
+        arms = [Arm(plan, m, seconds) for m in (1, *plan.heads)]
+        for r, arm in itertools.product(range(rounds), arms):
+            if signals:
+                raise StoppedError(signals[0], "the same command")
+            times.append({"env": "hopper", "heads": arm.config.heads, "round": r, **where, **arm()})
     rows.append(plan.measured / TIMES, times)
 
 

@@ -1,15 +1,15 @@
 """The experiments of the paper: train what is missing, measure what is finished, make the page."""
 
-import contextlib
-import fcntl
 import pathlib
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, TextIO
 
 from experiments import curves, overhead, page, rows, scores
 from experiments.catalogue import TITLES, Name, experiment, runs
 from experiments.plan import Plan
 from mapg_jax.config import Config
+from mapg_jax.locking import lock
+from mapg_jax.member import DIVERGED
 from mapg_jax.results import UnfinishedError, algorithm, settings, versions
 from mapg_jax.run_folder import RunFolder, is_blank, this_process
 from mapg_jax.signals import StoppedError
@@ -39,7 +39,8 @@ def make(
       workers: runs side by side; by default as many as the cores and the memory allow.
 
     Raises:
-      ValueError: if the results are of another protocol, or another process is training for them.
+      ValueError: if the results are of another protocol.
+      BlockingIOError: if another process is training the runs.
       StoppedError: on SIGINT or SIGTERM, once the runs are saved and the page is written.
     """
     refuse_other_protocols(plan)
@@ -48,7 +49,8 @@ def make(
         if training:
             failures = train(plan, names, workers)
             if {"overhead", "claims"} & set(names):
-                overhead.time_arms(plan)
+                with training_lock(plan):
+                    overhead.time_arms(plan)
     except StoppedError:
         conclude(plan, names)
         raise
@@ -58,26 +60,27 @@ def make(
 
 def conclude(plan: Plan, names: Sequence[Name]) -> Made:
     """Measures what is finished, names what diverged, and writes the page."""
-    with locked(plan, "writing", wait=True):
+    with writing_lock(plan):
         failures = measure_finished(plan, names)
         record_diverged(plan, runs(plan, names))
         sections = page.sections(plan)
         return Made(page.write(plan, sections), sections, failures)
 
 
-@contextlib.contextmanager
-def locked(plan: Plan, name: str, *, wait: bool) -> Iterator[None]:
+def training_lock(plan: Plan) -> TextIO:
+    """Two processes would both train what is missing."""
+    plan.runs.mkdir(parents=True, exist_ok=True)
+    return lock(
+        plan.runs / ".training.lock",
+        f"another mapg paper is training in {plan.runs}; wait for it, "
+        "or show what there is with --no-train",
+    )
+
+
+def writing_lock(plan: Plan) -> TextIO:
     """Two processes that add rows to the same files would lose some."""
     plan.results.mkdir(parents=True, exist_ok=True)
-    with (plan.results / f".{name}.lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except BlockingIOError:
-            raise ValueError(
-                f"another mapg paper is {name} for {plan.results}; wait for it, "
-                "or show what there is with --no-train"
-            ) from None
-        yield
+    return lock(plan.results / ".writing.lock", wait=True)
 
 
 def refuse_other_protocols(plan: Plan) -> None:
@@ -124,11 +127,11 @@ def train(plan: Plan, names: Sequence[Name], workers: int | None) -> list[str]:
     unmeasured: list[str] = []
 
     def add(folder: RunFolder) -> None:
-        with locked(plan, "writing", wait=True):
+        with writing_lock(plan):
             unmeasured.extend(measure(plan, folder))
 
     jobs = [(config, plan.folder(config)) for config in waiting]
-    with locked(plan, "training", wait=False):
+    with training_lock(plan):
         return run_all(jobs, workers=workers, on_finished=add) + unmeasured
 
 
@@ -138,7 +141,7 @@ def record_diverged(plan: Plan, configs: Sequence[Config]) -> None:
     for config in configs:
         failure = failure_file(plan.folder(config))
         reason = failure.read_text().strip() if failure.exists() else ""
-        if "no longer finite" in reason and not rows.holds(file, rows.identity(config)):
+        if reason.startswith(DIVERGED) and not rows.holds(file, rows.identity(config)):
             rows.append(file, [{**rows.identity(config), "reason": reason.splitlines()[0]}])
 
 

@@ -5,7 +5,7 @@ import pathlib
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-from mapg_jax.config import PRESETS, Config
+from mapg_jax.config import PRESETS, Config, Preset
 from mapg_jax.results import algorithm
 
 TASKS = ("hopper", "walker2d", "humanoid", "halfcheetah", "swimmer")
@@ -75,7 +75,7 @@ class Plan(NamedTuple):
 
 
 def make_plan(
-    preset: str, steps: int | None, seeds: int, runs: pathlib.Path, results: pathlib.Path
+    preset: Preset, steps: int | None, seeds: int, runs: pathlib.Path, results: pathlib.Path
 ) -> Plan:
     """The plan of a preset, its steps unless others are given.
 

@@ -94,7 +94,9 @@ class Checkpoints:
         leaves, structure = jax.tree_util.tree_flatten_with_path(shapes)
         named = [(jax.tree_util.keystr(path), shape) for path, shape in leaves]
         if {name for name, shape in named if shape.size} != set(stored):
-            raise ValueError(f"{self.path.parent}: the checkpoint is of another configuration")
+            raise ValueError(
+                f"{self.path.parent}: the checkpoint is of another configuration, or engine"
+            )
         values = [
             _as_leaf(stored.get(name), shape, name.startswith(".replay.data"))
             for name, shape in named

@@ -1,4 +1,4 @@
-"""The command line: mapg train | sweep | resume | evaluate | drive | report | envs."""
+"""The command line: mapg train | sweep | resume | evaluate | drive | report | paper | envs."""
 
 import dataclasses
 import itertools
@@ -6,7 +6,7 @@ import json
 import os
 import pathlib
 import sys
-from typing import Literal, TextIO
+from typing import TextIO, cast
 
 import jax
 import rich.console
@@ -16,7 +16,7 @@ import tyro
 import envs
 from experiments.command import Paper
 from mapg_jax import document, heads, sweep_command
-from mapg_jax.config import PRESETS, Config
+from mapg_jax.config import PRESETS, Config, Preset
 from mapg_jax.console import complain, console, own_stdout, parse_politely, refuse_politely
 from mapg_jax.finishing import finish
 from mapg_jax.member import DivergedError
@@ -28,8 +28,6 @@ from mapg_jax.scoring import Physics, evaluate
 from mapg_jax.signals import StoppedError
 from mapg_jax.sweep_command import SweepOptions
 from mapg_jax.sweep_folder import SweepFolder
-
-Preset = Literal["paper", "parallel", "smoke"]
 
 
 @dataclasses.dataclass
@@ -44,7 +42,7 @@ class Train:
     """Where the defaults below come from: the paper's set-up, one for accelerators, or one that
     ends in seconds."""
     out: pathlib.Path | None = None
-    """Run folder; must not exist. By default the next free number under runs/."""
+    """Run folder; must not exist or be empty. By default the next free number under runs/."""
 
     def run(self, out: TextIO) -> None:
         run = refuse_politely(lambda: start(self.config, self.out))
@@ -77,7 +75,7 @@ class Resume:
                 "--steps with a larger number trains it further",
                 file=out,
             )
-            if run.folder.evaluation.exists():  # else it was cut off before its score
+            if run.folder.scored_steps() >= run.folder.config.steps:  # else it was cut off before
                 return
         else:
             run.go(progress=True)
@@ -93,7 +91,7 @@ class Evaluate:
     episodes: int = 100
     """E."""
     physics: Physics = "auto"
-    """What to run on: the run's own engine, a named one, or Gymnasium's official environment."""
+    """What to run on: what the run's --engine means here, a named one, or Gymnasium's own task."""
     select: heads.Select = "uniform"
     """How one action is made of the M proposals; for A3C, uniform samples its Gaussian, mean takes
     its mean."""
@@ -232,13 +230,13 @@ def _parse(arguments: list[str]):
     )
 
 
-def _named_preset(flags: list[str]) -> str:
+def _named_preset(flags: list[str]) -> Preset:
     """The value of --preset: the other flags' defaults depend on it. Unknown ones tyro refuses."""
     for flag, following in itertools.pairwise([*flags, ""]):
         name, equals, value = flag.partition("=")
         if name == "--preset":
             value = value if equals else following
-            return value if value in PRESETS else "paper"
+            return cast(Preset, value) if value in PRESETS else "paper"
     return "paper"
 
 

@@ -93,7 +93,7 @@ class Config:
     """A3C: β, of the entropy of the action's distribution, as in the paper."""
 
     evaluate_every: int = 20_000
-    """Environment steps between evaluations."""
+    """Environment steps between evaluations; rounded to whole turns of all environments."""
     evaluation_episodes: int = 10
     """Episodes per evaluation."""
     final_episodes: int = 100
@@ -163,6 +163,8 @@ class Config:
             name, equals, value = text.partition("=")
             if not name or not equals:
                 raise ValueError(f"env_options are written name=value, got {text!r}")
+            if name == "engine":
+                raise ValueError("the engine is no option of an environment; choose it by --engine")
             try:
                 options[name] = ast.literal_eval(value)
             except (ValueError, SyntaxError):
@@ -178,7 +180,8 @@ class Config:
         return self.time_limit or envs.spec(self.env).time_limit
 
 
-PRESETS = {
+Preset = Literal["paper", "parallel", "smoke"]
+PRESETS: dict[Preset, Config] = {
     "paper": Config(),
     "parallel": Config(
         # Thousands of environments on an accelerator: the proportions of PQL's DDPG

@@ -25,7 +25,8 @@ def finish(folder: RunFolder, keep_replay: bool = True) -> dict[str, Any]:
 
 
 def is_finished(folder: RunFolder) -> bool:
-    """Whether all steps are taken and the policy is scored."""
+    """Whether all steps are taken and the last policy is scored."""
     rows = read_metrics(folder.metrics)
     whole = bool(rows) and rows[-1]["env_steps"] >= folder.config.steps
-    return whole and folder.evaluation.exists() and folder.curve.exists()
+    scored = folder.scored_steps() >= folder.config.steps
+    return whole and scored and folder.curve.exists()

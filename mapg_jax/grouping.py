@@ -24,6 +24,10 @@ Grouping = Literal["auto", "one", "all"] | int
 PROCESS_BYTES = 1_000_000_000  # Python, JAX, MuJoCo and compiled programs, beside the state
 
 
+SHARE = 0.5
+"""Of an accelerator's memory for training states: resuming holds them twice for a moment."""
+
+
 class Job(NamedTuple):
     """A run to be done: its configuration and its folder."""
 
@@ -38,8 +42,8 @@ Group = tuple[Job, ...]
 def groups(jobs: Sequence[Job], grouping: Grouping = "auto") -> list[Group]:
     """Cuts runs into groups, in their order.
 
-    `auto` is one run a program on a CPU, where lockstep gains nothing, and as many as the memory
-    holds on an accelerator.
+    `auto` is one run a program on a CPU, where lockstep gains nothing, and as many as half of the
+    memory holds on an accelerator.
 
     Raises:
       ValueError: if the grouping is none.
@@ -99,12 +103,19 @@ def disk_bytes(cut: Sequence[Group], workers: int, keep_replay: bool) -> int:
 def refuse_a_full_disk(cut: Sequence[Group], workers: int, keep_replay: bool) -> None:
     """Raises ValueError if the checkpoints might not fit."""
     for out in {job.path.parent for group in cut for job in group}:
-        needed, free = disk_bytes(cut, workers, keep_replay), free_bytes(out)
+        needed = disk_bytes(cut, workers, keep_replay)
+        free = free_bytes(out) + sum(_checkpoint_bytes(job.path) for group in cut for job in group)
         if needed > free:
             raise ValueError(
                 f"the checkpoints can take {needed / 1e9:.1f} GB, but the disk of {out} has "
                 f"{free / 1e9:.1f} GB left; choose fewer --workers or a smaller --replay-size"
             )
+
+
+def _checkpoint_bytes(path: pathlib.Path) -> int:
+    """What the checkpoints of a run that was cut off take already: newer ones replace them."""
+    files = (path / "checkpoints").rglob("*")
+    return sum(file.stat().st_size for file in files if file.is_file())
 
 
 def free_bytes(path: pathlib.Path) -> int:
@@ -119,7 +130,7 @@ def _size(alike: Sequence[Job], grouping: Grouping) -> int:
     if isinstance(grouping, int):
         return grouping
     if grouping == "auto" and jax.default_backend() != "cpu":
-        return max(1, available_bytes() // _run_bytes(_largest(alike)))
+        return max(1, int(SHARE * available_bytes()) // _run_bytes(_largest(alike)))
     return len(alike) if grouping == "all" else 1
 
 

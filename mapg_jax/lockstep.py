@@ -115,7 +115,8 @@ class Lockstep:
         if self.alone:
             return states[0]
         # Heads that are padding never change, so a fresh state still has them.
-        fresh = jax.device_get(self.init().agent)
+        agents = jax.jit(jax.vmap(lambda seed: self.trainer.init(seed).agent))
+        fresh = jax.device_get(agents(self._seeds))
         padded = []
         for k, state in enumerate(states):
             agent = jax.tree.map(_paste, self.of_run(fresh, k), state.agent)

@@ -13,9 +13,11 @@ from mapg_jax.loop import Loop, Totals
 from mapg_jax.run_folder import RunFolder
 from mapg_jax.tracking import MetricsFile, cut_metrics
 
+DIVERGED = "a loss or parameter is no longer finite"
+
 
 class DivergedError(ArithmeticError):
-    """A loss or a parameter is no longer finite."""
+    """A loss or a parameter is no longer finite; the message begins with DIVERGED."""
 
 
 class Member:
@@ -56,9 +58,7 @@ class Member:
         if at >= 0:
             newest = self.checkpoints.newest()
             kept = f"the checkpoint at step {newest:,} stays" if newest else "no checkpoint was due"
-            self.failure = DivergedError(
-                f"a loss or parameter is no longer finite at step {at:,}; {kept}"
-            )
+            self.failure = DivergedError(f"{DIVERGED} at step {at:,}; {kept}")
 
     def row(
         self,

@@ -116,7 +116,6 @@ def mean_curve(
 def draw_boxes(
     tasks: Mapping[str, Mapping[str, Sequence[Sequence[float] | np.ndarray]]],
     label: str = "score: mean return of a run",
-    arms: str = "M, actions proposed per state",
 ) -> "Figure":
     """A panel a task, a place an arm, and a dot a seed; from five numbers on a box.
 
@@ -127,9 +126,8 @@ def draw_boxes(
       tasks: by task and arm, the numbers of every seed: its score alone, or the return of each of
         its episodes. A box is of all numbers together, a dot the mean of one seed's.
       label: of the vertical axis, with its unit.
-      arms: what is side by side, under the horizontal axis.
     """
-    figure, panels = _panels(tasks, arms, label)
+    figure, panels = _panels(tasks, "M, actions proposed per state", label)
     for axes, of_task in zip(panels, tasks.values(), strict=True):
         for place, seeds in enumerate(of_task.values()):
             numbers = np.concatenate([np.atleast_1d(x) for x in (*seeds, [])])

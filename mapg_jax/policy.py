@@ -31,6 +31,8 @@ class Policy:
         if select not in agent.algorithm.selects:
             known = ", ".join(agent.algorithm.selects)
             raise ValueError(f"select must be one of {known}, got {select!r}")
+        if not 0 <= seed < 2**31:
+            raise ValueError(f"seed must be at least 0 and below 2147483648, got {seed}")
         self.agent, self.state, self.action_high = agent, state, action_high
         self._key = jax.random.key(seed)
         self._calls = 0
@@ -85,8 +87,8 @@ def load_policy(path: str | os.PathLike, seed: int = 0, select: heads.Select = "
         A3C's Gaussian: uniform (a sample) or mean.
 
     Raises:
-      ValueError: if the folder holds no run, or no complete checkpoint, or its algorithm cannot
-        select so.
+      ValueError: if the folder holds no run, or no complete checkpoint, its algorithm cannot
+        select so, or the seed is out of range.
     """
     folder = RunFolder.open(path)
     config = folder.config

@@ -91,7 +91,7 @@ def read_run(folder: RunFolder | str | os.PathLike) -> Result:
             "command": str(history[0]["command"]),
         }
     with _reading(folder.evaluation) as score:
-        return Result(
+        result = Result(
             env=config.env.lower(),
             algorithm=algorithm(config),
             heads=config.heads,
@@ -107,6 +107,9 @@ def read_run(folder: RunFolder | str | os.PathLike) -> Result:
             **origin,
             **_driving(score.get("metrics", {})),
         )
+    if (scored := folder.scored_steps()) < config.steps:
+        raise UnfinishedError(f"{folder.path} is not finished: its score is of step {scored:,}")
+    return result
 
 
 def find_runs(path: str | os.PathLike) -> list[RunFolder]:

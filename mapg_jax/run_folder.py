@@ -11,8 +11,9 @@ import platform
 import shlex
 import sys
 import typing
-from typing import Any
+from typing import Any, TextIO
 
+from mapg_jax import locking
 from mapg_jax.config import Config
 
 PACKAGES = ("mapg-jax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "brax", "mujoco",
@@ -47,11 +48,11 @@ class RunFolder:
         """A new folder with the configuration in it.
 
         Args:
-          path: must not exist; None takes the next free number under `runs/`.
+          path: must not exist, or be empty; None takes the next free number under `runs/`.
           config: of the run.
 
         Raises:
-          ValueError: if the folder exists or cannot be created.
+          ValueError: if the folder holds something or cannot be created.
         """
         path = _next_free(config) if path is None else pathlib.Path(path)
         make_folder(path)
@@ -74,16 +75,31 @@ class RunFolder:
             raise ValueError(f"{path} is not a run folder: it has no config.json")
         try:
             config = parse_config(json.loads(file.read_text())["config"])
-        except (KeyError, TypeError, ValueError) as error:
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{file} is damaged: {error}") from None
         return cls(path, config)
 
     def write_config(self) -> None:
         """Everything needed to run it again, and every command that went on with it."""
         file = self.path / "config.json"
-        earlier = json.loads(file.read_text())["history"] if file.exists() else []
+        earlier = json.loads(file.read_text()).get("history", []) if file.exists() else []
         config = dataclasses.asdict(self.config)
         write_json(file, {"config": config, "history": [*earlier, this_process()]})
+
+    def scored_steps(self) -> int:
+        """Environment steps behind the score in evaluation.json; -1 without one to be read.
+
+        A policy can be scored while its run goes on, or after a crash. (Scores of the last policy
+        alone were written before they said their step.)
+        """
+        try:
+            return int(json.loads(self.evaluation.read_text()).get("env_steps", self.config.steps))
+        except (AttributeError, OSError, TypeError, ValueError):
+            return -1
+
+    def lock(self) -> TextIO:
+        """Held while the run is trained; see `locking.lock`."""
+        return locking.lock(self.path / ".lock", f"another process trains {self.path}")
 
 
 def this_process() -> dict[str, Any]:
@@ -104,7 +120,7 @@ def make_folder(path: pathlib.Path) -> None:
     """
     made = [p for p in (path, *path.parents) if not p.exists()]
     try:
-        path.mkdir(parents=True, exist_ok=is_blank(path))
+        path.mkdir(parents=True, exist_ok=path.exists() and is_blank(path))
     except FileExistsError:
         raise ValueError(
             f"{path} exists already; choose another --out, or go on with: mapg resume {path}"

@@ -59,7 +59,8 @@ def start(config: Config, out: str | os.PathLike | None = None) -> "Run":
 
     Args:
       config: of the run.
-      out: the run folder, which must not exist; by default the next free number under `runs/`.
+      out: the run folder, which must not exist or be empty; by default the next free number under
+        `runs/`.
 
     Raises:
       ValueError: if the run cannot be made, before anything is written.
@@ -77,8 +78,10 @@ def resume(path: str | os.PathLike, steps: int | None = None) -> "Run":
 
     Raises:
       ValueError: if the folder holds no run, the run cannot be made or its checkpoint is damaged.
+      BlockingIOError: if another process trains it.
     """
     folder = RunFolder.open(path)
+    folder.lock().close()  # refused before anything is changed
     if steps is not None:
         folder = RunFolder(folder.path, dataclasses.replace(folder.config, steps=steps))
     run = Run(prepare(folder.config), [folder])
@@ -146,10 +149,13 @@ class Run:
           progress: whether to show it on standard error.
 
         Raises:
+          BlockingIOError: if another process trains it.
           DivergedError: at the first loss or parameter that is not finite, if no run is left.
           StoppedError: on SIGINT or SIGTERM, once the state is saved.
         """
         with contextlib.ExitStack() as stack:
+            for member in self.members:
+                stack.enter_context(member.folder.lock())
             signals = stack.enter_context(caught_signals())
             metrics = [
                 stack.enter_context(contextlib.closing(member.metrics_file(self.env_steps)))

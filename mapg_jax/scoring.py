@@ -11,12 +11,14 @@ import numpy as np
 
 import envs
 from mapg_jax import heads
+from mapg_jax.checkpointing import Checkpoints
 from mapg_jax.evaluation import play, summarize
 from mapg_jax.policy import Policy, load_policy
 from mapg_jax.run_folder import RunFolder, write_json
 
 Physics = Literal["auto", "native", "mjx", "jax", "gymnasium"]
-"""What an evaluation runs on: `auto` is the run's own engine, `gymnasium` the official task."""
+"""What an evaluation runs on: `auto` is what the run's `engine` means on this machine,
+`gymnasium` the official task."""
 
 
 def evaluate(
@@ -58,14 +60,14 @@ def score(
     """
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")
-    if not 0 <= seed < 2**31:
-        raise ValueError(f"seed must be at least 0 and below 2147483648, got {seed}")
+    env_steps = Checkpoints(folder.checkpoints).newest()
     policy = load_policy(folder.path, seed, select)
     play_in = _in_gymnasium if physics == "gymnasium" else _in_jax
     physics, returns, lengths, extra = play_in(folder, policy, episodes, physics, select, seed)
     summary = summarize(returns)
     return {
         "env": folder.config.env,
+        "env_steps": env_steps,
         "physics": physics,
         "select": select,
         "episodes": summary.episodes,

@@ -1,5 +1,6 @@
 """A sweep: many runs, a few at a time, each in its own folder; what is finished stays finished."""
 
+import dataclasses
 import pathlib
 import time
 from collections.abc import Callable, Sequence
@@ -165,9 +166,16 @@ def unique_jobs(runs: Sequence[tuple[Config, pathlib.Path]]) -> list[Job]:
         job = jobs.setdefault(pathlib.Path(path), Job(config, pathlib.Path(path)))
         if job.config != config:
             raise ValueError(f"two runs are to be written into {path}")
-        if not is_blank(job.path) and RunFolder.open(path).config != config:
-            raise ValueError(f"{path} holds a run of another configuration")
-    return list(jobs.values())
+    return [job if is_blank(job.path) else _begun(job) for job in jobs.values()]
+
+
+def _begun(job: Job) -> Job:
+    """The job as its folder has it: a run of it can have been given more steps since."""
+    there = RunFolder.open(job.path).config
+    longer = dataclasses.replace(job.config, steps=max(there.steps, job.config.steps))
+    if there != longer:
+        raise ValueError(f"{job.path} holds a run of another configuration")
+    return Job(there, job.path)
 
 
 def _finished(job: Job) -> bool:

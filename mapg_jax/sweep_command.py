@@ -17,9 +17,11 @@ import rich.table
 import tyro
 
 from mapg_jax import grid, timing
-from mapg_jax.config import PRESETS, Config
+from mapg_jax.config import PRESETS, Config, Preset
 from mapg_jax.console import complain, console, refuse_politely
 from mapg_jax.grouping import disk_bytes, group_bytes
+from mapg_jax.locking import lock
+from mapg_jax.run_folder import RunFolder, is_blank
 from mapg_jax.signals import StoppedError
 from mapg_jax.sweep import Plan, carry_out, make_plan
 from mapg_jax.sweep_folder import SweepFolder
@@ -33,12 +35,12 @@ class SweepOptions:
     """
 
     out: pathlib.Path
-    """Folder of the sweep; must not exist. Each run has a folder in it."""
+    """Folder of the sweep; must not exist or be empty. Each run has a folder in it."""
     seeds: int | None = None
     """Seeds 0, 1, … so many; or list them with --seed."""
     group: Literal["auto", "one", "all"] | int = "auto"
     """Runs that share a compiled program and go in lockstep: one, all that can, or so many at
-    most; auto is one on a CPU and as many as fit on an accelerator."""
+    most; auto is one on a CPU and as many as half of an accelerator's memory holds."""
     workers: int | None = None
     """Processes side by side; by default as many as cores and memory allow."""
     keep_replay: bool = False
@@ -47,7 +49,7 @@ class SweepOptions:
     """Show the runs, and the time, memory and disk they will take; write nothing."""
     measure: bool = True
     """With --dry-run: time each program for a few seconds to predict the time."""
-    preset: Literal["paper", "parallel", "smoke"] = "paper"
+    preset: Preset = "paper"
     """Where the defaults below come from."""
 
     def run(self, out: TextIO) -> None:
@@ -72,7 +74,7 @@ class SweepOptions:
             if values["seed"] != (0,):
                 raise ValueError("--seeds and --seed both say the seeds; give one of them")
             values["seed"] = tuple(range(self.seeds))
-        if self.out.exists():
+        if not is_blank(self.out):
             raise ValueError(
                 f"{self.out} exists already; choose another --out, "
                 f"or go on with: mapg resume {self.out}"
@@ -80,9 +82,10 @@ class SweepOptions:
         for name, several in values.items():
             if not several:
                 raise ValueError(f"the grid is empty: --{name.replace('_', '-')} has no values")
-        # Not the first of several: a base with algorithm=a3c would lose what only MAPG reads.
-        single = {k: v[0] for k, v in values.items() if len(v) == 1}
-        base = dataclasses.replace(PRESETS[self.preset], **single)
+        first = {k: v[0] for k, v in values.items()}
+        if len(values["algorithm"]) > 1:
+            first["algorithm"] = "mapg"  # a base with a3c would lose what only MAPG reads
+        base = dataclasses.replace(PRESETS[self.preset], **first)
         values = {k: v for k, v in values.items() if len(v) > 1}
         folder = SweepFolder(self.out, base, values, self.group, self.workers, self.keep_replay)
         same = grid.size(values) - len(folder.runs())
@@ -114,15 +117,17 @@ def _plan(folder: SweepFolder) -> Plan:
 
 def _go(folder: SweepFolder, plan: Plan, out: TextIO) -> None:
     """Carries it out; prints the scores, and the failures before it exits with 1."""
+    refusal = f"another process carries out {folder.path}"
     try:
-        failures = carry_out(plan)
+        with refuse_politely(lambda: lock(folder.path / ".lock", refusal)):
+            failures = refuse_politely(lambda: carry_out(plan))
     except StoppedError as stopped:
         raise StoppedError(stopped.number, f"mapg resume {folder.path}") from None
     table = rich.table.Table("run", "mean", "std", "episodes")
-    for _, path in folder.runs():
-        cells = "missing", "", ""
-        if (file := path / "evaluation.json").exists():
-            score = json.loads(file.read_text())
+    for config, path in folder.runs():
+        run, cells = RunFolder(path, config), ("missing", "", "")
+        if run.scored_steps() >= config.steps:
+            score = json.loads(run.evaluation.read_text())
             cells = f"{score['mean']:.1f}", f"{score['std']:.1f}", str(score["episodes"])
         table.add_row(path.name, *cells)
     console(out).print(table)

@@ -4,7 +4,7 @@ import datetime
 import pathlib
 import statistics
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import rich.console
 import rich.live
@@ -25,7 +25,8 @@ class SweepTable:
         self._groups = {group[0].path: group for group in waiting}
         self._total, self._workers = sum(map(len, waiting)), workers
         self._active: dict[pathlib.Path, RunFolder] = {}
-        self._finished: list[RunFolder] = []
+        self._finished: set[pathlib.Path] = set()
+        self._paces: list[float] = []  # of the finished ones
         self._failed: set[pathlib.Path] = set()
         self.failures: list[str] = []
 
@@ -54,14 +55,17 @@ class SweepTable:
         """A run is finished, or has failed."""
         del self._active[folder.path]
         if failure is None:
-            self._finished.append(folder)
-            text = f"finished, return {read_metrics(folder.metrics)[-1]['return_mean']:.1f}"
+            last = read_metrics(folder.metrics)[-1]
+            self._finished.add(folder.path)
+            self._paces.append(_pace(last))
+            text = f"finished, return {last['return_mean']:.1f}"
         else:
             self._failed.add(folder.path)
             self.failures.append(f"{folder.path}: {failure}")
             text = f"FAILED: {failure}"
         done = len(self._finished) + len(self.failures)
-        self._say(f"{folder.path.name}: {text} ({done} of {self._total}, {self._left()} left)")
+        left = self._left(self._newest_rows())
+        self._say(f"{folder.path.name}: {text} ({done} of {self._total}, {left} left)")
 
     def update(self) -> None:
         """Draws the table anew."""
@@ -72,54 +76,54 @@ class SweepTable:
         if self._lines:
             print(line, file=sys.stderr, flush=True)
 
+    def _newest_rows(self) -> dict[pathlib.Path, dict[str, float]]:
+        """The last evaluation of each run under way that has one."""
+        rows = {path: read_metrics(folder.metrics) for path, folder in self._active.items()}
+        return {path: of_run[-1] for path, of_run in rows.items() if of_run}
+
     def _table(self) -> rich.table.Table:
+        newest = self._newest_rows()
         done = len(self._finished) + len(self.failures)
         failed = f", {len(self.failures)} failed" if self.failures else ""
-        caption = f"{done} of {self._total} runs done{failed}; {self._left()} left"
+        caption = f"{done} of {self._total} runs done{failed}; {self._left(newest)} left"
         titles = ("run", "progress", "return", "steps/s", "time left")
         table = rich.table.Table(*titles, caption=caption)
-        for folder in self._active.values():
-            rows, steps = read_metrics(folder.metrics), folder.config.steps
-            if not rows:
-                table.add_row(folder.path.name, "0 %", "-", "-", "-")
+        for path, folder in self._active.items():
+            if path not in newest:
+                table.add_row(path.name, "0 %", "-", "-", "-")
                 continue
-            last, seconds = rows[-1], _seconds_left(folder)
+            last = newest[path]
             table.add_row(
-                folder.path.name,
-                f"{last['env_steps'] / steps:.0%}",
+                path.name,
+                f"{last['env_steps'] / folder.config.steps:.0%}",
                 f"{last['return_mean']:.1f} ± {last['return_std']:.1f}",
                 f"{last['steps_per_second']:,.0f}",
-                "-" if seconds is None else _clock(seconds),
+                _clock(_seconds_left(folder.config.steps, last)),
             )
         return table
 
-    def _left(self) -> str:
+    def _left(self, newest: Mapping[pathlib.Path, Mapping[str, float]]) -> str:
         """Time left for all groups, at the mean pace so far; evaluations included."""
-        known = (*self._finished, *self._active.values())
-        paces = [pace for folder in known if (pace := _pace(folder)) is not None]
+        paces = [*self._paces, *map(_pace, newest.values())]
         if not paces:
             return "unknown time"
-        ended = {folder.path for folder in self._finished} | self._failed
         seconds = 0.0
         for first, group in self._groups.items():
-            if first in self._active:
-                seconds += _seconds_left(self._active[first]) or 0.0
-            elif first not in ended:
-                seconds += group[0].config.steps * statistics.mean(paces)
+            steps = group[0].config.steps
+            if first in newest:
+                seconds += _seconds_left(steps, newest[first])
+            elif first not in self._finished | self._failed | set(self._active):
+                seconds += steps * statistics.mean(paces)
         return _clock(seconds / self._workers)
 
 
-def _pace(folder: RunFolder) -> float | None:
+def _pace(last: Mapping[str, float]) -> float:
     """Seconds per environment step so far."""
-    rows = read_metrics(folder.metrics)
-    return rows[-1]["seconds"] / rows[-1]["env_steps"] if rows else None
+    return last["seconds"] / last["env_steps"]
 
 
-def _seconds_left(folder: RunFolder) -> float | None:
-    rows, pace = read_metrics(folder.metrics), _pace(folder)
-    if pace is None:
-        return None
-    return max(0.0, folder.config.steps - rows[-1]["env_steps"]) * pace
+def _seconds_left(steps: int, last: Mapping[str, float]) -> float:
+    return max(0.0, steps - last["env_steps"]) * _pace(last)
 
 
 def _clock(seconds: float) -> str:

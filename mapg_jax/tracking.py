@@ -23,8 +23,7 @@ class MetricsFile:
     def __init__(self, path: pathlib.Path, env_steps: int = 0):
         """Goes on after `env_steps`; TensorBoard drops what it was told of later ones."""
         self.path = path
-        purge = env_steps + 1 if env_steps else None
-        self._writer = tensorboardX.SummaryWriter(str(path.parent), purge_step=purge)
+        self._writer = tensorboardX.SummaryWriter(str(path.parent), purge_step=env_steps + 1)
 
     def write(self, row: Row) -> None:
         """Appends a row, `env_steps` first; the first one writes the header."""
@@ -46,10 +45,8 @@ class MetricsFile:
 
 def read_metrics(path: pathlib.Path) -> list[dict[str, float]]:
     """The rows of a metrics.csv; none if there is no file."""
-    if not path.exists():
-        return []
-    with path.open(newline="") as file:
-        return [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
+    header, *rows = _table(path)
+    return [dict(zip(header, map(float, row), strict=True)) for row in rows]
 
 
 def cut_metrics(path: pathlib.Path, env_steps: int) -> None:
@@ -58,17 +55,10 @@ def cut_metrics(path: pathlib.Path, env_steps: int) -> None:
     A last line that was cut short is dropped too, and a file left without rows is removed, so that
     the next row writes a whole header.
     """
-    if not path.exists():
-        return
-    with path.open(newline="") as file:
-        header, *rows = list(csv.reader(file)) or [[]]
-    kept = [
-        row
-        for row in rows
-        if len(row) == len(header) and row[0].isdigit() and int(row[0]) <= env_steps
-    ]
+    header, *rows = _table(path)
+    kept = [row for row in rows if row[0].isdigit() and int(row[0]) <= env_steps]
     if not kept:
-        path.unlink()
+        path.unlink(missing_ok=True)
         return
     partial = path.with_suffix(".partial")
     with partial.open("w", newline="") as file:
@@ -76,8 +66,15 @@ def cut_metrics(path: pathlib.Path, env_steps: int) -> None:
     partial.replace(path)
 
 
+def _table(path: pathlib.Path) -> list[list[str]]:
+    """The header and the rows, but for a line that was cut short as it was written."""
+    lines = path.read_text().splitlines(keepends=True) if path.exists() else []
+    header, *rows = list(csv.reader(line for line in lines if line.endswith("\n"))) or [[]]
+    return [header, *(row for row in rows if len(row) == len(header))]
+
+
 def _text(value: int | float) -> str:
-    """The shortest text that reads back as the same float32."""
+    """Nine digits: a float32 reads back the same."""
     return str(value) if isinstance(value, int) else f"{value:.9g}"
 
 

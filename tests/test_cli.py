@@ -61,6 +61,7 @@ def workplace(tmp_path, finished_run):
         "unknown": text.replace('"heads"', '"haeds"'),
         "typed": text.replace('"heads": 3', '"heads": "three"'),
         "listed": "[]",
+        "nested": '{"config": []}',
     }.items():
         (tmp_path / name).mkdir()
         (tmp_path / name / "config.json").write_text(damaged)
@@ -68,7 +69,9 @@ def workplace(tmp_path, finished_run):
     for file in (tmp_path / "damaged" / "checkpoints" / "800").rglob("*"):
         if file.is_file():
             file.write_bytes(b"")
-    return tmp_path
+    shutil.copytree(tmp_path / "run", tmp_path / "held")
+    with RunFolder.open(tmp_path / "held").lock():
+        yield tmp_path
 
 
 REFUSALS = [
@@ -77,6 +80,9 @@ REFUSALS = [
     ("train --env pendulum --engine mjx", "pendulum has no engine 'mjx'; it has jax"),
     ("train --env-options gravity=1", "pendulum has no option 'gravity'; it has g"),
     ("train --env-options g", "env_options are written name=value, got 'g'"),
+    ("train --env-options engine=jax", "the engine is no option of an environment"),
+    ("train --env-options name=pendulum", "pendulum has no option 'name'; it has g"),
+    ("train --env driving --env-options track=5", "unknown track '5'"),
     ("train --heads 0", "heads must be at least 1, got 0"),
     ("train --batch-size 65 --replay-size 64", "a batch of 65 is larger than the replay of 64"),
     ("train --preset papr", "papr"),
@@ -93,8 +99,10 @@ REFUSALS = [
     ("resume unknown", "unknown: haeds"),
     ("resume typed", "typed/config.json is damaged"),
     ("resume listed", "listed/config.json is damaged"),
+    ("resume nested", "nested/config.json is damaged"),
     ("resume damaged", "800 is damaged"),
     ("resume run --steps 0", "steps must be at least 1, got 0"),
+    ("resume held --steps 2000", "another process trains held"),
     ("evaluate nowhere", "there is no run folder nowhere"),
     ("evaluate fresh", "fresh has no complete checkpoint"),
     ("evaluate damaged", "800 is damaged"),

@@ -20,6 +20,7 @@ ROOMS = (
     "loop",
     "a3c_training",
     "training",
+    "locking",
     "run_folder",
     "checkpointing",
     "policy",

@@ -24,7 +24,7 @@ from mapg_jax.results import (
     separate,
     settings,
 )
-from mapg_jax.run_folder import RunFolder
+from mapg_jax.run_folder import RunFolder, write_json
 
 RESULT = oracles.result()
 
@@ -100,6 +100,17 @@ def test_unfinished_runs_are_told_from_damaged_ones(tmp_path):
     longer = dataclasses.replace(config, steps=3000)
     with pytest.raises(UnfinishedError, match="1,008 of 3,000 steps"):
         read_run(RunFolder(folder.path, longer))
+
+
+def test_the_score_of_an_earlier_policy_is_none_of_the_run(tmp_path):
+    """A policy can be scored while the run goes on, or after a crash."""
+    folder = oracles.finished_run(Config(env="hopper", steps=1000), tmp_path / "run", [1.0, 2.0])
+    record = json.loads(folder.evaluation.read_text())
+    write_json(folder.evaluation, {**record, "env_steps": 992})
+    with pytest.raises(UnfinishedError, match="its score is of step 992"):
+        read_run(folder)
+    write_json(folder.evaluation, {**record, "env_steps": 1008})
+    assert read_run(folder).return_mean == 1.5
 
 
 DAMAGE = [

@@ -118,7 +118,7 @@ def test_a_run_folder_holds_data_only(finished_run):
     kinds = {path.suffix for path in finished_run.path.rglob("*") if path.is_file()}
     assert not kinds & {".py", ".pkl", ".pickle", ".npy", ".npz", ".so", ".sh"}
     assert (finished_run.path / "config.json").is_file()
-    names = {path.name.split(".")[0] for path in finished_run.path.iterdir()}
+    names = {path.name.split(".")[0] for path in finished_run.path.iterdir()} - {""}  # .lock
     assert names == {"config", "metrics", "checkpoints", "events"}
 
 

@@ -10,6 +10,7 @@ import oracles
 import pytest
 
 from mapg_jax import evaluate, load_policy
+from mapg_jax.checkpointing import Checkpoints
 from mapg_jax.run_folder import RunFolder
 
 
@@ -67,6 +68,7 @@ def test_gymnasiums_score_is_a_hand_written_loop(hopper):
     assert record["lengths"] == lengths
     np.testing.assert_allclose(record["returns"], returns, rtol=1e-3)
     assert (record["physics"], record["env"]) == ("gymnasium", "hopper")
+    assert record["env_steps"] == Checkpoints(hopper.checkpoints).newest()
 
 
 def test_our_physics_scores_as_gymnasium_does(hopper):

@@ -14,7 +14,7 @@ import oracles
 import pytest
 
 from mapg_jax import cli, grouping, sweep, sweep_command, sweep_table
-from mapg_jax.config import Config
+from mapg_jax.config import PRESETS, Config
 from mapg_jax.finishing import is_finished
 from mapg_jax.grouping import Job, groups, workers_that_fit
 from mapg_jax.run_folder import RunFolder
@@ -86,6 +86,16 @@ def test_a_folder_of_another_run_is_refused(swept):
         sweep.run_all([(dataclasses.replace(config, seed=7), path)])
     with pytest.raises(ValueError, match="two runs are to be written into new"):
         sweep.run_all([(config, pathlib.Path("new")), (RUN, pathlib.Path("new"))])
+
+
+def test_a_run_that_was_given_more_steps_keeps_them(swept, tmp_path):
+    """`mapg resume SWEEP/RUN --steps` does not shut out the rest of the sweep."""
+    _, (config, path) = swept[0]
+    longer = dataclasses.replace(config, steps=2 * config.steps)
+    RunFolder.create(tmp_path / "longer", longer)
+    assert sweep.unique_jobs([(config, tmp_path / "longer")]) == [Job(longer, tmp_path / "longer")]
+    with pytest.raises(ValueError, match="another configuration"):
+        sweep.unique_jobs([(dataclasses.replace(longer, steps=4 * config.steps), path)])
 
 
 def test_a_killed_sweep_resumes_and_finishes(tmp_path, monkeypatch):
@@ -182,8 +192,8 @@ def test_a_group_that_crashes_is_cut_into_its_runs(tmp_path, monkeypatch):
     """The run that had finished before the crash is not tried again."""
     monkeypatch.setattr(sweep, "Worker", CrashingTogether)
     monkeypatch.setattr(sweep, "POLL_SECONDS", 0.0)
-    monkeypatch.setattr(sweep_table, "read_metrics", lambda path: [{"return_mean": 0.0}])
-    monkeypatch.setattr(sweep_table, "_pace", lambda folder: None)
+    row = {"env_steps": 1.0, "return_mean": 0.0, "seconds": 1.0}
+    monkeypatch.setattr(sweep_table, "read_metrics", lambda path: [row])
     names = ("one", "bad", "good")
     runs = [(dataclasses.replace(RUN, seed=k), tmp_path / n) for k, n in enumerate(names)]
     told = []
@@ -214,9 +224,10 @@ def test_groups_are_cut_as_asked():
 def test_accelerators_get_as_many_as_fit(monkeypatch):
     monkeypatch.setattr(grouping.jax, "default_backend", lambda: "gpu")
     each = grouping.group_bytes((jobs()[2],))
-    monkeypatch.setattr(grouping, "available_bytes", lambda: 2 * each + each // 2)
-    assert [len(group) for group in groups(jobs(), "auto")] == [2, 1]
+    monkeypatch.setattr(grouping, "available_bytes", lambda: 5 * each)
+    assert [len(group) for group in groups(jobs(), "auto")] == [2, 1]  # in half of it
     assert workers_that_fit(groups(jobs(), "auto")) == 1
+    monkeypatch.setattr(grouping, "available_bytes", lambda: 2 * each + each // 2)
     with pytest.raises(ValueError, match="do not fit"):
         workers_that_fit(groups(jobs(), "all"))
 
@@ -293,6 +304,25 @@ def test_the_order_of_values_changes_no_cell(tmp_path):
 
     mapg = Config(heads=10, noise="none", gradient="all")
     assert cells("a3c", "mapg") == cells("mapg", "a3c") == {mapg, Config(algorithm="a3c")}
+
+
+def test_every_value_is_tried_with_its_own(tmp_path):
+    """The batch fits each of the replays asked for, though not the preset's."""
+    flags = f"--batch-size 20000 --replay-size 50000 100000 --out {tmp_path / 'here'}".split()
+    folder = sweep_command.parse(flags, PRESETS["smoke"]).folder()
+    assert [config.replay_size for config, _ in folder.runs()] == [50000, 100000]
+
+
+def test_checkpoints_that_are_there_count_as_room(tmp_path, monkeypatch):
+    """A sweep that was stopped needs no more of the disk than when it began."""
+    cut = [(jobs()[0]._replace(path=tmp_path / "run"),)]
+    needed = grouping.disk_bytes(cut, 1, keep_replay=False)
+    monkeypatch.setattr(grouping, "free_bytes", lambda path: needed - 1000)
+    with pytest.raises(ValueError, match="the checkpoints can take"):
+        grouping.refuse_a_full_disk(cut, 1, keep_replay=False)
+    (tmp_path / "run" / "checkpoints" / "400").mkdir(parents=True)
+    (tmp_path / "run" / "checkpoints" / "400" / "data").write_bytes(bytes(1000))
+    grouping.refuse_a_full_disk(cut, 1, keep_replay=False)
 
 
 def test_a_full_disk_is_refused(tmp_path, monkeypatch, capfd):

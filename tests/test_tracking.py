@@ -5,6 +5,7 @@ import math
 import struct
 
 import numpy as np
+import pytest
 from tensorboardX.proto.event_pb2 import Event
 
 from mapg_jax.tracking import MetricsFile, Progress, cut_metrics, read_metrics
@@ -61,11 +62,13 @@ def test_cutting_back_keeps_the_rows_up_to_the_checkpoint(tmp_path):
     assert path.read_bytes() == whole
 
 
-def test_a_line_cut_short_is_dropped(tmp_path):
+@pytest.mark.parametrize("cell", ["missing", "cut"])
+def test_a_line_cut_short_is_dropped(cell, tmp_path):
     path = tmp_path / "metrics.csv"
     write(path)
     whole = path.read_bytes()
-    path.write_bytes(whole[: whole.rindex(b",")])
+    path.write_bytes(whole[: whole.rindex(b",") + (0 if cell == "missing" else 2)])
+    assert len(read_metrics(path)) == len(ROWS) - 1
     cut_metrics(path, 300)
     write(path, ROWS[2:])
     assert path.read_bytes() == whole

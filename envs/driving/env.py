@@ -116,8 +116,9 @@ class Driving(Env):
         self._backwards_end = math.radians(_limit("backwards_end", backwards_end))
         self._slow_end = -math.inf if slow_end is None else _limit("slow_end", slow_end)
         self._slow_steps = math.ceil(_limit("slow_time", slow_time) * control_hz)
-        several = (track,) if isinstance(track, str | Path | Track) else track
-        self.tracks = tuple(load_track(one) for one in several)
+        alone = isinstance(track, str) or not isinstance(track, Sequence)
+        several: Any = (track,) if alone else track
+        self.tracks = tuple(map(load_track, several))
         if not self.tracks:
             raise ValueError("track must name at least one track, got none")
         self.bank = banks.make_bank(self.tracks)

@@ -11,6 +11,7 @@ from experiments import overhead, page, paper, rows, scores
 from experiments.catalogue import TITLES, Name, experiment
 from experiments.plan import A3C, MAPG, NO_NOISE, Plan, in_order, make_plan, name
 from mapg_jax.config import PRESETS
+from mapg_jax.member import DIVERGED
 from mapg_jax.results import append_csv
 from mapg_jax.run_folder import RunFolder, write_json
 from mapg_jax.signals import StoppedError
@@ -107,7 +108,7 @@ def test_a_folder_that_cannot_be_read_does_not_stop_the_others(made, tmp_path):
 def test_what_is_in_the_results_is_not_trained_again(made, tmp_path):
     elsewhere = made._replace(runs=tmp_path)
     assert paper.train(elsewhere, NAMES, workers=1) == []
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == [".training.lock"]
 
 
 def test_other_steps_do_not_mix(made):
@@ -169,7 +170,7 @@ def test_a_run_that_diverged_is_named_and_not_tried_again(made, tmp_path):
     plan = made._replace(runs=tmp_path / "runs", results=tmp_path / "results")
     wanted = paper.runs(plan, ["fig2"])
     plan.folder(wanted[0]).mkdir(parents=True)
-    failure_file(plan.folder(wanted[0])).write_text("a loss is no longer finite at step 64\n")
+    failure_file(plan.folder(wanted[0])).write_text(f"{DIVERGED} at step 64\n")
     for _ in range(2):
         paper.record_diverged(plan, wanted)
     assert paper.train(plan, ["fig2"], workers=1) == []
@@ -193,8 +194,8 @@ def test_what_is_finished_is_shown_when_training_is_stopped(made, tmp_path, monk
 
 
 def test_two_processes_do_not_train_for_the_same_results_but_one_may_look(made):
-    with paper.locked(made, "training", wait=False):
-        with pytest.raises(ValueError, match="another mapg paper is training for"):
+    with paper.training_lock(made):
+        with pytest.raises(BlockingIOError, match="another mapg paper is training in"):
             paper.train(made, ["fig2"], workers=1)
         assert paper.make(made, ["fig2"], training=False).failures == []
 
