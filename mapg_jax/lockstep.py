@@ -11,7 +11,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from mapg_jax.agent import hyperparameters
 from mapg_jax.config import Config
@@ -43,8 +42,12 @@ class Lockstep:
         if len({program_key(config) for config in configs}) != 1:
             raise ValueError("runs in lockstep may differ in traced numbers alone")
         self.configs = tuple(configs)
-        self.trainer: Loop = make_trainer(max(configs, key=lambda config: config.heads))
         self.alone = len(configs) == 1
+        largest = max(configs, key=lambda config: config.heads)
+        if not self.alone:  # the same program for other numbers: a compiled one is used again
+            numbers = {name: getattr(Config(), name) for name in TRACED - {"heads"}}
+            largest = dataclasses.replace(largest, **numbers)
+        self.trainer: Loop = make_trainer(largest)
 
     @property
     def bytes(self) -> int:
@@ -111,19 +114,14 @@ class Lockstep:
         return self._plain_shapes[self.configs[k].heads]
 
     def join(self, states: Sequence[Any]) -> Any:
-        """The state of all runs from those of each alone, padded as a fresh one is."""
+        """The state of all runs from those of each alone; heads that are padding are zeros."""
         if self.alone:
             return states[0]
-        # Heads that are padding never change, so a fresh state still has them.
-        agents = jax.jit(jax.vmap(lambda seed: self.trainer.init(seed).agent))
-        fresh = jax.device_get(agents(self._seeds))
-        padded = []
-        for k, state in enumerate(states):
-            agent = jax.tree.map(_paste, self.of_run(fresh, k), state.agent)
-            shapes = self.trainer.shapes.replace(agent=agent)
-            state = state.replace(agent=agent)
-            padded.append(jax.tree.map(lambda x, y: _as_dtype(x, y.dtype), state, shapes))
-        return _stack(padded)
+
+        def pad(leaf, shape):
+            return _as_dtype(_padded(leaf, shape.shape), shape.dtype)
+
+        return _stack([jax.tree.map(pad, state, self.trainer.shapes) for state in states])
 
     @functools.cached_property
     def _seeds(self) -> jax.Array:
@@ -147,8 +145,8 @@ def _as_dtype(leaf: Any, dtype: Any) -> Any:
     return leaf if leaf.dtype == dtype else leaf.astype(dtype)
 
 
-def _paste(padded: Any, leaf: Any) -> np.ndarray:
-    """The padded array with a smaller one in its first corner."""
-    padded = np.array(padded)
-    padded[tuple(map(slice, leaf.shape))] = leaf
-    return padded
+def _padded(leaf: Any, shape: Sequence[int]) -> Any:
+    """The array in the first corner of one of zeros."""
+    if leaf.shape == tuple(shape):
+        return leaf
+    return jnp.pad(leaf, [(0, n - m) for n, m in zip(shape, leaf.shape, strict=True)])
