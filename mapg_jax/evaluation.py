@@ -67,12 +67,16 @@ def play(
         proposals, values = agent.proposals_and_values(state, env_state.obs)
         action = agent.act(state, env_state.obs, jax.random.fold_in(act_key, t), select)
         value = heads.mean(values, m) - pivot
+
+        def total(x):  # what is stepped past its end may be of any value
+            return jnp.where(alive, x, 0.0).sum()
+
         sums = _Sums(
             sums.states + alive.sum(),
-            sums.spread + (alive * heads.spread(proposals, m)).sum(),
-            sums.q_gap + (alive * heads.q_gap(values, m)).sum(),
-            sums.q + (alive * value).sum(),
-            sums.q_square + (alive * jnp.square(value)).sum(),
+            sums.spread + total(heads.spread(proposals, m)),
+            sums.q_gap + total(heads.q_gap(values, m)),
+            sums.q + total(value),
+            sums.q_square + total(jnp.square(value)),
         )
         env_state = jax.vmap(env.step)(env_state, action)
         returns = returns + jnp.where(alive, env_state.reward, 0.0)

@@ -203,7 +203,6 @@ def train(env, time_limit, turns, **changes):
 @pytest.mark.parametrize(
     ("env", "time_limit", "changes", "values"),
     [
-        (oracles.OneStep(), 10, {}, {0.0: 1.0}),
         (oracles.TwoSteps(), 10, {}, {0.0: 0.5, 1.0: 1.0}),
         # Reward 1 for ever at γ = ½ is worth 2 wherever the time limit cuts, also in the middle of
         # a rollout; where the limit counts as an end, 3 steps are worth 1 + ½ + ¼, 1 + ½ and 1, and

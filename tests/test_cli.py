@@ -6,17 +6,20 @@ import shutil
 import subprocess
 import sys
 
+import jax
 import oracles
 import pytest
 
 import envs
 from mapg_jax import cli, runner
 from mapg_jax.config import Config
+from mapg_jax.recording import record
 from mapg_jax.run_folder import RunFolder
 
 TINY = (
     "--heads 3 --steps 400 --environments 4 --replay-size 200 --batch-size 8 --hidden 8 8 "
-    "--learning-starts 16 --evaluate-every 200 --evaluation-episodes 2 --final-episodes 3"
+    "--learning-starts 16 --time-limit 50 --evaluate-every 200 --evaluation-episodes 2 "
+    "--final-episodes 3"
 )
 
 
@@ -102,6 +105,7 @@ REFUSALS = [
     ("resume nested", "nested/config.json is damaged"),
     ("resume damaged", "800 is damaged"),
     ("resume run --steps 0", "steps must be at least 1, got 0"),
+    ("drive run", "run is a run of pendulum, not of driving"),
     ("resume held --steps 2000", "another process trains held"),
     ("evaluate nowhere", "there is no run folder nowhere"),
     ("evaluate fresh", "fresh has no complete checkpoint"),
@@ -143,6 +147,20 @@ def test_too_little_memory_is_refused_with_the_numbers(mapg, tmp_path, monkeypat
     assert not list(tmp_path.iterdir())
 
 
+def test_a_drive_is_drawn_from_its_start(mapg, tmp_path):
+    config = dataclasses.replace(oracles.RUN, env="driving", time_limit=20)
+    folder = oracles.untrained_run(config, tmp_path / "run")
+    status, out, err = mapg("drive", "run", "--seed", 5)
+    assert (status, out.split()) == (0, ["run/drive.png", "run/drive.html"]), err
+    assert (folder.path / "drive.png").read_bytes()[1:4] == b"PNG"
+    assert "<html" in (folder.path / "drive.html").read_text()
+    states = record(folder, seed=5)
+    start = config.make_env().reset(jax.random.split(jax.random.key(5))[0]).pipeline_state
+    assert states.x.shape == (20,)
+    assert (states.steps == range(20)).all()
+    assert (states.x[0], states.y[0]) == (start.x, start.y)
+
+
 def test_train_then_resume_then_evaluate(mapg, tmp_path):
     status, out, err = mapg("train", *TINY.split(), "--out", "runs/mine")
     assert status == 0, err
@@ -153,7 +171,8 @@ def test_train_then_resume_then_evaluate(mapg, tmp_path):
     folder = RunFolder.open("runs/mine")
     assert folder.config == dataclasses.replace(
         Config(), heads=3, steps=400, environments=4, replay_size=200, batch_size=8, hidden=(8, 8),
-        learning_starts=16, evaluate_every=200, evaluation_episodes=2, final_episodes=3,
+        learning_starts=16, time_limit=50, evaluate_every=200, evaluation_episodes=2,
+        final_episodes=3,
     )  # fmt: skip
 
     before = contents(tmp_path)

@@ -33,14 +33,6 @@ def test_ornstein_uhlenbeck_has_the_moments_of_its_closed_form(start, steps):
     assert_moments(np.asarray(noise, np.float64), *moments)
 
 
-def test_ornstein_uhlenbeck_settles_at_its_stationary_variance():
-    """σ² dt / (1 - (1 - θ dt)²), which a continuous process would have as σ² / 2θ."""
-    a = 1 - OU_THETA * OU_DT
-    _, variance = oracles.ou_moments(0.0, OU_THETA, SIGMA, OU_DT, 10_000)
-    assert variance == pytest.approx(SIGMA**2 * OU_DT / (1 - a**2), rel=1e-9)
-    assert variance == pytest.approx(SIGMA**2 / (2 * OU_THETA), rel=OU_THETA * OU_DT)
-
-
 def test_gaussian_noise_forgets():
     scale = jnp.full((1, 1), SIGMA)
     noise = exploration.advance("gaussian", jax.random.key(0), jnp.full((N, A), 9.0), scale)

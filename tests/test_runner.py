@@ -7,8 +7,6 @@ import os
 import pathlib
 import shutil
 import signal
-import subprocess
-import sys
 import time
 
 import jax
@@ -24,7 +22,8 @@ from mapg_jax.config import PRESETS
 from mapg_jax.member import DivergedError
 from mapg_jax.run_folder import RunFolder
 from mapg_jax.runner import resume, start
-from mapg_jax.tracking import read_metrics
+from mapg_jax.signals import StoppedError
+from mapg_jax.tracking import Progress, read_metrics
 from mapg_jax.training import make_trainer
 
 CLOCK = ("seconds", "per_second")
@@ -249,40 +248,15 @@ def test_an_ignored_signal_stays_ignored(interrupts):
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
-@pytest.mark.usefixtures("quick_compilation")
-def test_sigterm_saves_and_resume_completes(tmp_path):
+def test_a_signal_saves_and_resuming_equals_not_stopping(finished_run, tmp_path, monkeypatch):
     path = tmp_path / "run"
-    command = [sys.executable, "-m", "mapg_jax"]
-    flags = "--preset smoke --steps 100000000 --evaluate-every 400 --checkpoint-seconds 1000"
-    process = subprocess.Popen(
-        [*command, "train", *flags.split(), "--out", str(path)], stderr=subprocess.PIPE, text=True
-    )
-    try:
-        deadline = time.monotonic() + 120
-        while not (path / "metrics.csv").exists() and time.monotonic() < deadline:
-            time.sleep(0.1)
-        assert not any((path / "checkpoints").iterdir())  # none was due
-        process.send_signal(signal.SIGTERM)
-        _, error = process.communicate(timeout=60)
-    finally:
-        process.kill()
-    assert process.returncode == 128 + signal.SIGTERM
-    assert f"mapg: stopped by SIGTERM; go on with: mapg resume {path}" in error
-    assert "Traceback" not in error
-
-    (checkpoint,) = (path / "checkpoints").iterdir()
-    steps = int(checkpoint.name) + 1000
-    done = subprocess.run(
-        [*command, "resume", str(path), "--steps", str(steps)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stderr
-    assert f"run folder:     {path}" in done.stdout
-    folder = RunFolder.open(path)
-    assert Checkpoints(folder.checkpoints).newest() == steps
-    rows = read_metrics(folder.metrics)
-    assert [row["env_steps"] for row in rows] == [*range(400, steps, 400), steps]
-    assert (path / "curve.png").stat().st_size > 1000
-    assert json.loads(folder.evaluation.read_text())["episodes"] == 4
+    run = start(dataclasses.replace(oracles.RUN, checkpoint_seconds=1e6), path)
+    with monkeypatch.context() as patch:
+        kill = lambda *_: os.kill(os.getpid(), signal.SIGTERM)  # noqa: E731
+        patch.setattr(Progress, "evaluated", kill)
+        with pytest.raises(StoppedError, match=f"by SIGTERM; go on with: mapg resume {path}"):
+            run.go()
+    assert [checkpoint.name for checkpoint in (path / "checkpoints").iterdir()] == ["200"]
+    run = resume(path)
+    run.go()
+    assert_same_run(run.folder, finished_run)

@@ -13,7 +13,7 @@ from typing import ClassVar
 import oracles
 import pytest
 
-from mapg_jax import cli, grouping, sweep, sweep_command, sweep_table
+from mapg_jax import cli, grouping, sweep, sweep_command, sweep_table, timing
 from mapg_jax.config import PRESETS, Config
 from mapg_jax.finishing import is_finished
 from mapg_jax.grouping import Job, groups, workers_that_fit
@@ -353,13 +353,25 @@ def test_a_dry_run_shows_the_runs_and_writes_nothing(tmp_path, monkeypatch, capf
 def test_a_dry_run_predicts_the_time(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("NPROC", "1")
-    flags = f"sweep {FLAGS} --heads 1 --steps 400 --dry-run --out here"
-    monkeypatch.setattr(sys, "argv", ["mapg", *flags.split()])
+    monkeypatch.setattr(sweep_command.timing, "predict", lambda groups, workers: 3725.4)
+    monkeypatch.setattr(sys, "argv", ["mapg", "sweep", "--dry-run", "--out", "here"])
     cli.main()
-    (line,) = [x for x in capfd.readouterr().out.splitlines() if x.startswith("time:")]
-    hours, minutes, seconds = map(int, line.split()[1].strip(",").split(":"))
-    assert 3600 * hours + 60 * minutes + seconds >= 15  # of its start alone
+    assert "time:   1:02:05, from" in capfd.readouterr().out
     assert not list(tmp_path.iterdir())
+
+
+def test_each_program_is_timed_once_with_the_most_heads(monkeypatch):
+    """Two programs, of 3 groups and of 1, on two workers."""
+    timed = []
+
+    def seconds(group):
+        timed.append(group[0].config.heads)
+        return 100.0 if group[0].config.batch_size == 4 else 10.0
+
+    monkeypatch.setattr(timing, "_seconds", seconds)
+    cut = [*groups(jobs(), "one"), *groups(jobs(batch_size=4)[:1], "one")]
+    assert timing.predict(cut, 2) == (3 * 10 + 100) / 2
+    assert timed == [10, 1]
 
 
 def test_a_sweep_folder_is_its_grid(tmp_path):

@@ -84,7 +84,7 @@ def random_circuit(
         if segments is None:
             continue
         track = from_segments(f"random:{seed}", segments, width)
-        if crossing or not crossings(track).any():
+        if crossings(track).any() == crossing:
             return track
     raise ValueError(
         f"no random circuit of {corners} corners, {length:g} m and width {width:g} m in "

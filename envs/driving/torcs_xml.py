@@ -7,8 +7,9 @@ import numpy as np
 
 from envs.driving.tracks import Arc, Segment, Straight, Track, from_segments
 
+# The first unit is what a number without one is in.
 METRES = {"m": 1.0, "ft": 0.304801, "feet": 0.304801, "km": 1000.0, "mm": 0.001}
-DEGREES = {"deg": 1.0, "rad": 180 / np.pi}
+DEGREES = {"rad": 180 / np.pi, "deg": 1.0}
 SURFACES = {  # friction and rolling resistance, by the beginning of a surface's name
     "asphalt": (1.2, 0.001),
     "asphalt2": (1.25, 0.001),
@@ -93,7 +94,7 @@ class _Section:
             value = float(text)
         except ValueError:
             raise self.error(f"gives {name!r} as {text!r}, not a number", line) from None
-        return value * (units[unit] if unit and units else 1.0)
+        return value * units[unit or next(iter(units))] if units else value
 
     def positive(self, name: str, units: dict[str, float], default: float | None = None) -> float:
         value = self.number(name, units, default)

@@ -23,7 +23,7 @@ LARGEST_KINK = math.radians(1.0)  # rad, likewise
 @dataclasses.dataclass(frozen=True)
 class Straight:
     length: float
-    """m; `None` for the two straights of a circuit whose lengths close it."""
+    """m; nan for the two straights of a circuit whose lengths close it."""
 
 
 @dataclasses.dataclass(frozen=True)

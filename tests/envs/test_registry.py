@@ -42,8 +42,10 @@ def test_specs_agree_with_gymnasium(name):
     np.testing.assert_array_equal(-env.action_high, reference.action_space.low)
 
 
-def test_auto_takes_the_native_engine_on_a_cpu():
-    assert envs.make("hopper").backend == ("native" if jax.default_backend() == "cpu" else "mjx")
+@pytest.mark.parametrize(("device", "engine"), [("cpu", "native"), ("gpu", "mjx"), ("tpu", "mjx")])
+def test_auto_takes_the_engine_of_the_device(device, engine, monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: device)
+    assert envs.make("hopper").backend == engine
     assert envs.make("pendulum").backend == "jax"
 
 

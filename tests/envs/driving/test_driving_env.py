@@ -301,12 +301,11 @@ def test_actions_that_are_no_numbers_touch_nobody_else():
         np.testing.assert_array_equal(states.obs[others], touched.obs[others])
 
 
-@pytest.mark.parametrize("control_hz", [5, 200])
-def test_any_actions_at_any_control_rate_keep_it_finite(control_hz):
-    """Over grass, backwards and round in circles, wherever they lead."""
-    env = make(track=("town", "eight"), control_hz=control_hz, **NO_ENDS)
+def test_any_actions_keep_it_finite():
+    """Over grass, backwards and round in circles, wherever they lead in 20 s."""
+    env = make(track=("town", "eight"), control_hz=5, **NO_ENDS)
     values = jnp.array([-1.0, -0.2, 0.0, 0.4, 1.0])
-    actions = jax.random.choice(jax.random.key(control_hz), values, (control_hz * 20, 32, 3))
+    actions = jax.random.choice(jax.random.key(5), values, (100, 32, 3))
 
     @jax.jit
     def run(keys):
@@ -324,9 +323,16 @@ def test_any_actions_at_any_control_rate_keep_it_finite(control_hz):
     assert (((rays >= 0) & (rays <= 1)) | (rays == -1 / 200)).all()
 
 
-@pytest.mark.parametrize("control_hz", [4, 5, 10, 20, 25, 40, 50, 80, 100, 200, 400])
-def test_control_rates(control_hz):
-    assert make(control_hz=control_hz).dt == pytest.approx(1 / control_hz)
+def test_the_control_rate_leaves_the_physics_alone():
+    """Two seconds of full throttle are the same drive, however often they are asked for."""
+    ends = [
+        play(make(control_hz=hz, **NO_ENDS), constant(2 * hz, 0, 1, 0)).pipeline_state
+        for hz in (5, 50, 400)
+    ]
+    for end in ends[1:]:
+        np.testing.assert_allclose(end.x[-1], ends[0].x[-1], rtol=1e-5)
+        np.testing.assert_allclose(end.speed[-1], ends[0].speed[-1], rtol=1e-5)
+    assert np.hypot(end.x[-1] - end.x[0], end.y[-1] - end.y[0]) > 5  # m
 
 
 def test_the_work_of_a_step_does_not_depend_on_the_length_of_the_track():

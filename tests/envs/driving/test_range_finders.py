@@ -124,7 +124,16 @@ def test_the_road_that_crosses_is_not_seen():
     np.testing.assert_allclose(rays[[0, 18]], track.width[0] / 2, atol=1e-3)
 
 
-def test_the_default_rays_are_snakeoils():
-    angles = np.array(Driving("speedway").ray_angles)
-    assert len(angles) == 19 and angles[0] == -45 and angles[9] == 0
-    np.testing.assert_array_equal(angles, -angles[::-1])
+@pytest.mark.parametrize(
+    ("sensors", "right"),
+    [
+        ("snakeoil", (0.5, 1, 1.7, 2.5, 4, 7, 12, 19, 45)),
+        ("scr", (5, 10, 15, 20, 30, 45, 60, 75, 90)),
+    ],
+)
+def test_rays_are_those_of_the_clients(sensors, right):
+    """What a saved policy sees depends on them."""
+    left = tuple(-angle for angle in right[::-1])
+    assert Driving("speedway", sensors=sensors).ray_angles == (*left, 0, *right)
+    if sensors == "snakeoil":
+        assert Driving("speedway").ray_angles == (*left, 0, *right)

@@ -50,9 +50,9 @@ def test_spirals_have_the_steps_of_the_file(tmp_path, steps):
     """Or pieces of its step length: 47 m in steps of 5 m make 10."""
     spiral = """
     <section name="in"><attstr name="type" val="rgt"/><attnum name="radius" val="40"/>
-      <attnum name="end radius" val="20"/><attnum name="arc" val="90"/>STEPS</section>
+      <attnum name="end radius" val="20"/><attnum name="arc" unit="deg" val="90"/>STEPS</section>
     <section name="out"><attstr name="type" val="rgt"/><attnum name="radius" val="20"/>
-      <attnum name="end radius" val="40"/><attnum name="arc" val="90"/>STEPS</section>"""
+      <attnum name="end radius" val="40"/><attnum name="arc" unit="deg" val="90"/>STEPS</section>"""
     spiral = 2 * spiral.replace("STEPS", steps)
     track = load_track(write(tmp_path, HEADER + spiral + FOOTER))
     bend = np.diff(track.heading)

@@ -1,6 +1,8 @@
 """Tracks: closed, as long as their segments say, and places on them found again."""
 
 import math
+import pathlib
+import re
 
 import jax
 import jax.numpy as jnp
@@ -182,3 +184,12 @@ def test_walking_a_lap_leads_once_over_the_start_line(name):
         apart = (found - along + track.length / 2) % track.length - track.length / 2
         assert np.abs(apart).max() < 3.0  # m, towards an edge of a tight bend
         assert set(cells) == set(range(len(track.s)))
+
+
+def test_the_example_of_the_docs_is_a_track():
+    docs = pathlib.Path(__file__).parents[3] / "docs" / "driving.md"
+    pattern = r"```python\n(from envs.driving import from_segments.*?)```"
+    (example,) = re.findall(pattern, docs.read_text(), re.S)
+    names: dict = {}
+    exec(example, names)
+    assert names["track"].name == "mine" and not circuits.crossings(names["track"]).any()
