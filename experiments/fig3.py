@@ -107,7 +107,7 @@ def draw(bins: Sequence[rows.Row], episode: Sequence[rows.Row]):
     left.set(xlabel="angle, degrees (0 hanging down)", ylabel="spread of the actions")
     left.set(xticks=range(-180, 181, 60), title="Mean over all states")
     left.set_ylim(bottom=0)
-    left.legend()
+    figure.legend(loc="outside lower left", ncols=5, frameon=False)  # of the left panel alone
 
     time = [int(row["step"]) for row in episode]
     right.plot(time, [float(row["spread"]) for row in episode], color="tab:orange")
