@@ -42,7 +42,7 @@ def run(trainer, turns, seed=0):
 def fresh():
     """The algorithm of TINY and an untrained learner of it."""
     algorithm = oracles.make_trainer(oracles.Side(), 10, TINY).agent.algorithm
-    return algorithm, algorithm.init(jax.random.key(1), 1)
+    return algorithm, jax.jit(algorithm.init, static_argnums=1)(jax.random.key(1), 1)
 
 
 # ----- returns
@@ -120,7 +120,7 @@ def test_the_actors_gradient_is_the_closed_form():
     network = a3c.GaussianActor(action_size=d, hidden=(4, 4), layer_norm=True)
     algorithm = a3c.A3c(network, a3c.StateCritic((4, 4), True), adam(None))
     observation = jnp.array([[0.4, -0.8]])
-    actor = network.init(jax.random.key(0), observation)
+    actor = jax.jit(network.init)(jax.random.key(0), observation)
     action, advantage = np.array([[0.9, -1.3], [0.2, 0.1], [-2.0, 0.5]]), np.array([2.0, -1.0, 0.5])
     repeated = jnp.repeat(observation, 3, 0)[:, None]
     rollout = Rollout(repeated, jnp.float32(action)[:, None], None, None, None, None)
@@ -130,7 +130,7 @@ def test_the_actors_gradient_is_the_closed_form():
             actor, rollout, jnp.float32(advantage)[:, None], jnp.float32(beta)
         )[0]
 
-    gradient = jax.grad(loss)(actor)["params"]
+    gradient = jax.jit(jax.grad(loss))(actor)["params"]
     (mean,), (variance,) = map(np.asarray, network.apply(actor, observation))
     difference = action - mean
     to_mean = (advantage[:, None] * difference / variance).mean(0)

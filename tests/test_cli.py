@@ -11,7 +11,7 @@ import oracles
 import pytest
 
 import envs
-from mapg_jax import cli, runner
+from mapg_jax import cli, recording, runner
 from mapg_jax.config import Config
 from mapg_jax.recording import record
 from mapg_jax.run_folder import RunFolder
@@ -147,14 +147,16 @@ def test_too_little_memory_is_refused_with_the_numbers(mapg, tmp_path, monkeypat
     assert not list(tmp_path.iterdir())
 
 
-def test_a_drive_is_drawn_from_its_start(mapg, tmp_path):
+def test_a_drive_is_drawn_from_its_start(mapg, tmp_path, monkeypatch):
     config = dataclasses.replace(oracles.RUN, env="driving", time_limit=20)
     folder = oracles.untrained_run(config, tmp_path / "run")
+    drawn = []
+    monkeypatch.setattr(recording, "record", lambda *a: drawn.append(record(*a)) or drawn[0])
     status, out, err = mapg("drive", "run", "--seed", 5)
     assert (status, out.split()) == (0, ["run/drive.png", "run/drive.html"]), err
     assert (folder.path / "drive.png").read_bytes()[1:4] == b"PNG"
     assert "<html" in (folder.path / "drive.html").read_text()
-    states = record(folder, seed=5)
+    (states,) = drawn
     start = config.make_env().reset(jax.random.split(jax.random.key(5))[0]).pipeline_state
     assert states.x.shape == (20,)
     assert (states.steps == range(20)).all()

@@ -119,7 +119,7 @@ def test_td_target_is_the_one_step_return():
 
 def slow_next_values(algorithm, state, observation):
     """Q'(s', ρ'_m(s')), one state and one head at a time, [B, M]."""
-    proposals = algorithm.proposals(state.actor_target, observation)
+    proposals = jax.jit(algorithm.proposals)(state.actor_target, observation)
     values = jax.jit(algorithm.values)
     return np.array(
         [
@@ -132,7 +132,7 @@ def slow_next_values(algorithm, state, observation):
 def test_the_target_is_the_mean_over_the_heads_of_the_target_networks():
     algorithm, state, hyper = setup(CONFIG)
     observation = make_batch(range(M)).next_observation
-    value = algorithm.next_value(state, hyper, observation, jax.random.key(0))
+    value = jax.jit(algorithm.next_value)(state, hyper, observation, jax.random.key(0))
     expected = slow_next_values(algorithm, state, observation).mean(1)
     np.testing.assert_allclose(value, expected, **CLOSE)
 
@@ -142,7 +142,8 @@ def test_the_sampled_target_is_one_head_drawn_uniformly():
     algorithm, state, hyper = setup(dataclasses.replace(CONFIG, target="sampled"))
     observation = make_batch(range(M)).next_observation
     keys = jax.random.split(jax.random.key(0), 500)
-    sampled = jax.vmap(lambda key: algorithm.next_value(state, hyper, observation, key))(keys)
+    draw = jax.vmap(algorithm.next_value, in_axes=(None, None, None, 0))
+    sampled = jax.jit(draw)(state, hyper, observation, keys)
     values = slow_next_values(algorithm, state, observation)
     distance = np.abs(np.asarray(sampled)[..., None] - values)  # [draws, B, M]
     assert distance.min(-1).max() < 1e-12
