@@ -127,6 +127,8 @@ def train(plan: Plan, names: Sequence[Name], workers: int | None) -> list[str]:
     unmeasured: list[str] = []
 
     def add(folder: RunFolder) -> None:
+        if folder.config not in waiting:
+            return  # it was given more steps since; `measure_finished` names it
         with writing_lock(plan):
             unmeasured.extend(measure(plan, folder))
 

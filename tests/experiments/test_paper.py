@@ -5,6 +5,7 @@ import json
 import shutil
 import signal
 
+import oracles
 import pytest
 
 from experiments import overhead, page, paper, rows, scores
@@ -198,6 +199,17 @@ def test_two_processes_do_not_train_for_the_same_results_but_one_may_look(made):
         with pytest.raises(BlockingIOError, match="another mapg paper is training in"):
             paper.train(made, ["fig2"], workers=1)
         assert paper.make(made, ["fig2"], training=False).failures == []
+
+
+def test_a_run_that_was_given_more_steps_is_named_and_not_mixed_in(tmp_path, monkeypatch):
+    plan = small(tmp_path)
+    (config,) = paper.runs(plan, ["fig3"])
+    longer = dataclasses.replace(config, steps=2 * config.steps)
+    folder = oracles.finished_run(longer, plan.folder(config), [1.0, 2.0])
+    monkeypatch.setattr(paper, "run_all", lambda _, on_finished, **__: on_finished(folder) or [])
+    (failure,) = paper.make(plan, ["fig3"]).failures
+    assert failure == f"{folder.path} holds a run of another configuration"
+    assert scores.of(plan, [config, longer]) == []
 
 
 def test_a_damaged_file_is_refused(made, tmp_path):
