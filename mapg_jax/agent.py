@@ -166,4 +166,9 @@ def hyperparameters(config: Config) -> mapg.Hyperparameters | a3c.Hyperparameter
         actor_learning_rate=jnp.asarray(config.actor_learning_rate, jnp.float32),
         critic_learning_rate=jnp.asarray(config.critic_learning_rate, jnp.float32),
         critic_l2=jnp.asarray(config.critic_l2, jnp.float32),
+        noise_scale=jnp.asarray(config.noise_scale, jnp.float32),
+        noise_scale_last=jnp.asarray(
+            config.noise_scale if config.noise_scale_last is None else config.noise_scale_last,
+            jnp.float32,
+        ),
     )

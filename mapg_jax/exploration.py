@@ -4,6 +4,7 @@ from typing import Literal
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 Noise = Literal["ou", "gaussian", "none"]
@@ -36,6 +37,14 @@ def advance(
     if kind == "gaussian":
         return scale * normal
     return noise - OU_THETA * OU_DT * noise + scale * jnp.sqrt(OU_DT) * normal
+
+
+def scales(
+    first: Float[Array, ""], last: Float[Array, ""], environments: int
+) -> Float[Array, "N 1"]:
+    r"""σ of every environment: $\sigma_i = \sigma_1 + (\sigma_N - \sigma_1) \frac{i-1}{N-1}$."""
+    ramp = np.arange(environments, dtype=np.float32) / max(1, environments - 1)
+    return first + (last - first) * ramp[:, None]
 
 
 def restart(noise: Float[Array, "N A"], ended: Bool[Array, "N"]) -> Float[Array, "N A"]:

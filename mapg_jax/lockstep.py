@@ -16,7 +16,7 @@ from mapg_jax.agent import hyperparameters
 from mapg_jax.config import Config
 from mapg_jax.evaluation import play
 from mapg_jax.loop import Loop, run_keys, state_bytes
-from mapg_jax.training import TrainState, make_trainer, noise_scales
+from mapg_jax.training import make_trainer
 
 TRACED = frozenset({
     "seed", "heads", "noise_scale", "noise_scale_last", "discount", "tau", "critic_l2",
@@ -60,12 +60,7 @@ class Lockstep:
             return self.trainer.jitted_init(self.configs[0].seed)
         state = jax.jit(jax.vmap(self.trainer.init))(self._seeds)
         hyper = _stack([hyperparameters(config) for config in self.configs])
-        state = state.replace(agent=state.agent.replace(hyper=hyper))
-        if isinstance(state, TrainState):
-            # Compiled as in a plain run, where they are constants of the program: the same bits.
-            scales = [jax.jit(noise_scales, static_argnums=0)(config) for config in self.configs]
-            state = state.replace(noise_scale=jnp.stack(scales))
-        return state
+        return state.replace(agent=state.agent.replace(hyper=hyper))
 
     @functools.cached_property
     def jitted_run(self):

@@ -42,6 +42,8 @@ class Hyperparameters(struct.PyTreeNode):
     actor_learning_rate: jax.Array  # []
     critic_learning_rate: jax.Array  # []
     critic_l2: jax.Array  # []
+    noise_scale: jax.Array  # [], σ in the first environment
+    noise_scale_last: jax.Array  # [], σ in the last one
 
 
 class LearnerState(struct.PyTreeNode):

@@ -6,7 +6,7 @@ import math
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Int, PRNGKeyArray
 
 import envs
 from mapg_jax import exploration, heads, replay
@@ -26,7 +26,6 @@ class TrainState(struct.PyTreeNode):
     env: envs.State  # leaves [N, ...]
     running_return: jax.Array  # [N], of the episodes under way
     noise: jax.Array  # [N, A]
-    noise_scale: jax.Array  # [N, 1], σ
     key: jax.Array  # []
     env_steps: jax.Array  # [] i32, all environments together
     update_credit: jax.Array  # [] i32, updates owed, in units of 1/q (see Trainer)
@@ -69,7 +68,6 @@ class Trainer(Loop):
             env=env,
             running_return=jnp.zeros(n),
             noise=jnp.zeros((n, self.env.action_size)),
-            noise_scale=noise_scales(config),
             key=keys.loop,
             env_steps=jnp.zeros((), jnp.int32),
             update_credit=jnp.zeros((), jnp.int32),
@@ -89,7 +87,10 @@ class Trainer(Loop):
         observation = jnp.asarray(state.env.obs)
         agent = self.agent.see(state.agent, observation)
         head = heads.draw(head_key, agent.hyper.heads, observation.shape[:1])
-        noise = exploration.advance(self.config.noise, noise_key, state.noise, state.noise_scale)
+        scale = exploration.scales(
+            agent.hyper.noise_scale, agent.hyper.noise_scale_last, self.config.environments
+        )
+        noise = exploration.advance(self.config.noise, noise_key, state.noise, scale)
         action = jnp.clip(self.agent.proposal(agent, observation, head) + noise, -1.0, 1.0)
 
         env = jax.vmap(self.env.step)(state.env, action)
@@ -154,12 +155,6 @@ class Trainer(Loop):
             terminal=jnp.zeros((), bool),
             next_observation=observation,
         )
-
-
-def noise_scales(config: Config) -> Float[Array, "N 1"]:
-    """σ of every environment."""
-    last = config.noise_scale if config.noise_scale_last is None else config.noise_scale_last
-    return jnp.linspace(config.noise_scale, last, config.environments)[:, None]
 
 
 def make_trainer(config: Config, padded_heads: int | None = None) -> Loop:

@@ -54,6 +54,16 @@ def test_every_environment_has_its_own_scale(kind):
     np.testing.assert_allclose(noise, ladder * unit, rtol=1e-6)  # float32
 
 
+def test_scales_take_even_steps_and_one_scale_is_exact():
+    np.testing.assert_allclose(
+        exploration.scales(jnp.float32(0.05), jnp.float32(8.0), 4)[:, 0],
+        np.linspace(0.05, 8.0, 4),
+        rtol=1e-6,  # float32
+    )
+    alike = exploration.scales(jnp.float32(SIGMA), jnp.float32(SIGMA), 16)
+    np.testing.assert_array_equal(alike, np.full((16, 1), SIGMA, np.float32))
+
+
 def test_restart_is_for_the_episodes_that_ended():
     noise = jnp.arange(1.0, 9.0).reshape(4, 2)
     restarted = exploration.restart(noise, jnp.array([True, False, False, True]))
