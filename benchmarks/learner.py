@@ -7,7 +7,7 @@ import sys
 import tempfile
 import time
 
-from mapg_jax.tracking import read_metrics
+from mapg_jax.runs.metrics import read_metrics
 
 PEER = pathlib.Path(".venv-peers/bin/python")
 SETTINGS = ["--env", "halfcheetah", "--no-layer-norm", "--updates-per-step", "1"]

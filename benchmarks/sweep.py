@@ -8,7 +8,7 @@ import tempfile
 
 import numpy as np
 
-from mapg_jax.tracking import read_metrics
+from mapg_jax.runs.metrics import read_metrics
 
 STEPS = 60_000
 ROUNDS = 3

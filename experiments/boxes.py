@@ -7,9 +7,9 @@ import numpy as np
 
 from experiments import rows
 from experiments.plan import Plan
-from mapg_jax.config import Config
-from mapg_jax.plotting import draw_boxes
-from mapg_jax.run_folder import RunFolder
+from mapg_jax.reports.plots import draw_boxes
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.training.config import Config
 
 FILE = "episodes.csv"
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 from experiments.plan import Plan, in_order
-from mapg_jax.config import Config
+from mapg_jax.training.config import Config
 
 Name = Literal[
     "table2", "fig1", "fig5", "fig2", "fig3", "fig4", "torcs", "overhead", "heads", "claims"

@@ -7,8 +7,8 @@ import numpy as np
 
 from experiments import fig2, fig3, fig4, heads, overhead, scores, table2, torcs
 from experiments.plan import A3C, DDPG, MAPG, NO_NOISE, Plan
-from mapg_jax import statistics
-from mapg_jax.config import Config
+from mapg_jax.reports import inference as statistics
+from mapg_jax.training.config import Config
 
 SUPPORTED, CONTRADICTED = "supported", "contradicted"
 UNDECIDED, NOT_TESTED = "undecided", "not tested"

@@ -10,8 +10,8 @@ import tyro
 from experiments import paper
 from experiments.catalogue import TITLES, Name
 from experiments.plan import Plan, make_plan
-from mapg_jax.config import PRESETS
-from mapg_jax.console import complain, refuse_politely
+from mapg_jax.cli.console import complain, refuse_politely
+from mapg_jax.training.config import PRESETS
 
 
 @dataclasses.dataclass(kw_only=True)

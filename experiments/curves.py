@@ -6,9 +6,9 @@ import numpy as np
 
 from experiments import rows
 from experiments.plan import Plan
-from mapg_jax.config import Config
-from mapg_jax.run_folder import RunFolder
-from mapg_jax.tracking import read_metrics
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.metrics import read_metrics
+from mapg_jax.training.config import Config
 
 FILE = "curves.csv"
 COLUMNS = ("env_steps", "return_mean", "training_return", "spread", "q_gap_relative", "critic_loss")

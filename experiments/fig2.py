@@ -5,8 +5,8 @@ import scipy.stats
 
 from experiments import curves, rows
 from experiments.plan import MAPG, Plan
-from mapg_jax import statistics
-from mapg_jax.config import Config
+from mapg_jax.reports import inference as statistics
+from mapg_jax.training.config import Config
 
 STEPS = 100_000
 """The return rises within the first tenth of them: an evaluation every 50,000 would miss it."""

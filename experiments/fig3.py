@@ -10,10 +10,10 @@ import numpy as np
 from envs.pendulum import Pendulum
 from experiments import rows
 from experiments.plan import MAPG, Plan
-from mapg_jax import heads
-from mapg_jax.config import Config
-from mapg_jax.policy import Policy, load_policy
-from mapg_jax.run_folder import RunFolder
+from mapg_jax.algorithms import heads
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.policy import Policy, load_policy
+from mapg_jax.training.config import Config
 
 STARTS = 100
 START = 5.0  # degrees either side of hanging down, at rest

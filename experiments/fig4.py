@@ -2,8 +2,8 @@
 
 from experiments import curves, rows, scores
 from experiments.plan import DDPG, MAPG, NO_NOISE, Plan
-from mapg_jax.config import Config
-from mapg_jax.plotting import draw_curves
+from mapg_jax.reports.plots import draw_curves
+from mapg_jax.training.config import Config
 
 ARMS = {
     "DDPG with noise": DDPG,

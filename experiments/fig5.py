@@ -2,7 +2,7 @@
 
 from experiments import boxes
 from experiments.plan import Plan
-from mapg_jax.config import Config
+from mapg_jax.training.config import Config
 
 ENVS = ("humanoid", "halfcheetah", "swimmer")
 measure = boxes.measure

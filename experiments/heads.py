@@ -2,9 +2,9 @@
 
 from experiments import curves, rows, scores, selects
 from experiments.plan import MAPG, RULES, Plan
-from mapg_jax.config import Config
-from mapg_jax.plotting import draw_curves
-from mapg_jax.run_folder import RunFolder
+from mapg_jax.reports.plots import draw_curves
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.training.config import Config
 
 
 def runs(plan: Plan) -> list[Config]:

@@ -10,11 +10,11 @@ import numpy as np
 
 from experiments import rows
 from experiments.plan import Plan
-from mapg_jax import statistics
-from mapg_jax.config import Config
-from mapg_jax.run_folder import this_process
-from mapg_jax.signals import StoppedError, caught_signals
-from mapg_jax.training import TrainState, make_trainer
+from mapg_jax.reports import inference as statistics
+from mapg_jax.runs.folder import this_process
+from mapg_jax.runs.signals import StoppedError, caught_signals
+from mapg_jax.training.config import Config
+from mapg_jax.training.trainer import TrainState, make_trainer
 
 TIMES = "overhead.csv"
 

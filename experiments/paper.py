@@ -7,14 +7,14 @@ from typing import NamedTuple, TextIO
 from experiments import curves, overhead, page, rows, scores
 from experiments.catalogue import TITLES, Name, experiment, runs
 from experiments.plan import Plan
-from mapg_jax.config import Config
-from mapg_jax.locking import lock
-from mapg_jax.member import DIVERGED
-from mapg_jax.results import UnfinishedError, algorithm, settings, versions
-from mapg_jax.run_folder import RunFolder, is_blank, this_process
-from mapg_jax.signals import StoppedError
-from mapg_jax.sweep import run_all
-from mapg_jax.worker import failure_file
+from mapg_jax.reports.results import UnfinishedError, algorithm, settings, versions
+from mapg_jax.runs.folder import RunFolder, is_blank, this_process
+from mapg_jax.runs.locking import lock
+from mapg_jax.runs.member import DIVERGED
+from mapg_jax.runs.signals import StoppedError
+from mapg_jax.sweeps.sweep import run_all
+from mapg_jax.sweeps.worker import failure_file
+from mapg_jax.training.config import Config
 
 
 class Made(NamedTuple):

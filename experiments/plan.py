@@ -5,8 +5,8 @@ import pathlib
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-from mapg_jax.config import PRESETS, Config, Preset
-from mapg_jax.results import algorithm
+from mapg_jax.reports.results import algorithm
+from mapg_jax.training.config import PRESETS, Config, Preset
 
 TASKS = ("hopper", "walker2d", "humanoid", "halfcheetah", "swimmer")
 HEADS = (5, 10, 20, 50)

@@ -5,8 +5,8 @@ import pathlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from mapg_jax.config import Config
-from mapg_jax.results import Result, algorithm, settings
+from mapg_jax.reports.results import Result, algorithm, settings
+from mapg_jax.training.config import Config
 
 Row = Mapping[str, Any]
 COLUMNS = ("env", "algorithm", "heads", "seed", "steps", "settings")

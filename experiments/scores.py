@@ -8,10 +8,10 @@ import numpy as np
 
 from experiments import rows
 from experiments.plan import Plan
-from mapg_jax import statistics
-from mapg_jax.config import Config
-from mapg_jax.results import Result, append_csv, read_csv, read_run
-from mapg_jax.run_folder import RunFolder
+from mapg_jax.reports import inference as statistics
+from mapg_jax.reports.results import Result, append_csv, read_csv, read_run
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.training.config import Config
 
 
 def path(plan: Plan) -> pathlib.Path:

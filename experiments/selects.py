@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 from experiments import rows
 from experiments.plan import Plan
-from mapg_jax.config import Config
-from mapg_jax.heads import Select
-from mapg_jax.run_folder import RunFolder
-from mapg_jax.scoring import score
+from mapg_jax.algorithms.heads import Select
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.scoring import score
+from mapg_jax.training.config import Config
 
 FILE = "selects.csv"
 HEADS: tuple[Select, ...] = ("uniform", "argmax-q", "mean")

@@ -6,9 +6,9 @@ import numpy as np
 
 from experiments import rows, scores, selects
 from experiments.plan import A3C, Plan
-from mapg_jax.config import Config
-from mapg_jax.report import arms_table
-from mapg_jax.run_folder import RunFolder
+from mapg_jax.reports.report import arms_table
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.training.config import Config
 
 PAPER = pathlib.Path(__file__).with_name("paper_table2.csv")
 """Mean and 3σ over the 100 episodes of one run: the paper's Table 2, which has no M = 5."""

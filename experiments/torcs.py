@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 from experiments import scores
 from experiments.plan import DDPG, DRIVING, MAPG, Plan
-from mapg_jax import statistics
-from mapg_jax.config import Config
-from mapg_jax.results import Result
+from mapg_jax.reports import inference as statistics
+from mapg_jax.reports.results import Result
+from mapg_jax.training.config import Config
 
 ARMS = {"DDPG": DDPG, "MAPG, M = 10": MAPG}
 PAPER = {"DDPG": 807, "MAPG, M = 10": 5882}

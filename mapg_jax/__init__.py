@@ -5,9 +5,9 @@ policy = mapg_jax.load_policy(folder.path, seed=0, select="uniform")
 action = policy(observation)
 """
 
-from mapg_jax.config import PRESETS, Config
-from mapg_jax.policy import Policy, load_policy
-from mapg_jax.runner import resume, train
-from mapg_jax.scoring import evaluate
+from mapg_jax.runs.policy import Policy, load_policy
+from mapg_jax.runs.runner import resume, train
+from mapg_jax.runs.scoring import evaluate
+from mapg_jax.training.config import PRESETS, Config
 
 __all__ = ["PRESETS", "Config", "Policy", "evaluate", "load_policy", "resume", "train"]

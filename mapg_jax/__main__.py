@@ -1,5 +1,5 @@
 """python -m mapg_jax is the command `mapg`."""
 
-from mapg_jax.cli import main
+from mapg_jax.cli.main import main
 
 main()

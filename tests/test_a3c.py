@@ -12,16 +12,17 @@ import scipy.stats
 from test_runner import assert_same_run, copy
 
 import mapg_jax
-from mapg_jax import a3c, load_policy
-from mapg_jax.a3c import Rollout, UpdateMetrics
-from mapg_jax.config import Config
-from mapg_jax.descent import adam
-from mapg_jax.evaluation import play
-from mapg_jax.member import DivergedError
-from mapg_jax.networks import VARIANCE_FLOOR
-from mapg_jax.runner import resume
-from mapg_jax.tracking import read_metrics
-from mapg_jax.training import make_trainer
+from mapg_jax import load_policy
+from mapg_jax.algorithms import a3c
+from mapg_jax.algorithms.a3c import Rollout, UpdateMetrics
+from mapg_jax.algorithms.descent import adam
+from mapg_jax.algorithms.networks import VARIANCE_FLOOR
+from mapg_jax.runs.member import DivergedError
+from mapg_jax.runs.metrics import read_metrics
+from mapg_jax.runs.runner import resume
+from mapg_jax.training.config import Config
+from mapg_jax.training.evaluation import play
+from mapg_jax.training.trainer import make_trainer
 
 TINY = dataclasses.replace(
     oracles.TINY,

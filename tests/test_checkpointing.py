@@ -9,8 +9,8 @@ import oracles
 import orbax.checkpoint as ocp
 import pytest
 
-from mapg_jax.checkpointing import Checkpoints
-from mapg_jax.training import make_trainer
+from mapg_jax.runs.checkpoints import Checkpoints
+from mapg_jax.training.trainer import make_trainer
 
 CONFIG = dataclasses.replace(oracles.TINY, replay_size=1000)
 

@@ -11,10 +11,11 @@ import oracles
 import pytest
 
 import envs
-from mapg_jax import cli, recording, runner
-from mapg_jax.config import Config
-from mapg_jax.recording import record
-from mapg_jax.run_folder import RunFolder
+from mapg_jax.cli.main import main as cli
+from mapg_jax.runs import recording, runner
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.recording import record
+from mapg_jax.training.config import Config
 
 TINY = (
     "--heads 3 --steps 400 --environments 4 --replay-size 200 --batch-size 8 --hidden 8 8 "

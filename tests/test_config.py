@@ -9,7 +9,7 @@ import typing
 import pytest
 
 import envs
-from mapg_jax.config import PRESETS, Config
+from mapg_jax.training.config import PRESETS, Config
 
 
 @pytest.mark.parametrize(
@@ -123,6 +123,6 @@ def test_the_paper_is_the_default():
 
 
 def test_presets_are_those_the_command_line_names():
-    from mapg_jax.cli import Preset
+    from mapg_jax.cli.main import Preset
 
     assert tuple(PRESETS) == typing.get_args(Preset)

@@ -9,9 +9,9 @@ import oracles
 import pytest
 import scipy.stats
 
-from mapg_jax import heads
-from mapg_jax.agent import hyperparameters, make_agent
-from mapg_jax.evaluation import play, summarize
+from mapg_jax.algorithms import heads
+from mapg_jax.training.agent import hyperparameters, make_agent
+from mapg_jax.training.evaluation import play, summarize
 
 EPISODES, TIME_LIMIT = 24, 7
 ENV = oracles.RandomLength()

@@ -6,8 +6,8 @@ import numpy as np
 import oracles
 import pytest
 
-from mapg_jax import exploration
-from mapg_jax.exploration import OU_DT, OU_THETA
+from mapg_jax.algorithms import exploration
+from mapg_jax.algorithms.exploration import OU_DT, OU_THETA
 
 N, A = 20_000, 2
 SIGMA = 0.2

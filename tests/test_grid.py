@@ -4,8 +4,8 @@ import dataclasses
 
 import pytest
 
-from mapg_jax import grid
-from mapg_jax.config import Config
+from mapg_jax.sweeps import grid
+from mapg_jax.training.config import Config
 
 BASE = Config(env="hopper")
 

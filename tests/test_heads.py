@@ -6,7 +6,7 @@ import numpy as np
 import oracles
 import pytest
 
-from mapg_jax import heads
+from mapg_jax.algorithms import heads
 
 M, PADDED, B, A = 3, 8, 50, 2
 

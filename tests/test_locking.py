@@ -2,7 +2,7 @@
 
 import pytest
 
-from mapg_jax.locking import lock
+from mapg_jax.runs.locking import lock
 
 
 def test_one_has_it_at_a_time(tmp_path):

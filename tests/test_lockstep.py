@@ -9,15 +9,16 @@ import numpy as np
 import oracles
 import pytest
 
-from mapg_jax import lockstep, runner
-from mapg_jax.checkpointing import Checkpoints
-from mapg_jax.config import Config
-from mapg_jax.member import DivergedError
-from mapg_jax.policy import load_policy
-from mapg_jax.run_folder import RunFolder
-from mapg_jax.runner import Run
-from mapg_jax.tracking import read_metrics
-from mapg_jax.training import make_trainer
+from mapg_jax.runs import runner
+from mapg_jax.runs.checkpoints import Checkpoints
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.member import DivergedError
+from mapg_jax.runs.metrics import read_metrics
+from mapg_jax.runs.policy import load_policy
+from mapg_jax.runs.runner import Run
+from mapg_jax.training.config import Config
+from mapg_jax.training import lockstep
+from mapg_jax.training.trainer import make_trainer
 
 CELLS = [
     dataclasses.replace(oracles.RUN, steps=400, heads=m, seed=seed, noise_scale=0.2 + 0.1 * seed)

@@ -13,9 +13,16 @@ import optax
 import oracles
 import pytest
 
-from mapg_jax.agent import hyperparameters, make_agent
-from mapg_jax.config import Config
-from mapg_jax.mapg import Hyperparameters, LearnerState, Mapg, Transition, kernel_l2, td_target
+from mapg_jax.algorithms.mapg import (
+    Hyperparameters,
+    LearnerState,
+    Mapg,
+    Transition,
+    kernel_l2,
+    td_target,
+)
+from mapg_jax.training.agent import hyperparameters, make_agent
+from mapg_jax.training.config import Config
 
 M, B, D, A = 4, 12, 3, 2
 CLOSE = {"rtol": 1e-10, "atol": 1e-12}  # float64

@@ -9,7 +9,7 @@ import oracles
 import pytest
 import scipy.stats
 
-from mapg_jax.networks import LAST_LAYER_SCALE, Actor, Critic
+from mapg_jax.algorithms.networks import LAST_LAYER_SCALE, Actor, Critic
 
 D, A = 5, 2
 HIDDEN = (16, 16)

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mapg_jax import normalization
-from mapg_jax.normalization import VARIANCE_FLOOR
+from mapg_jax.algorithms import normalization
+from mapg_jax.algorithms.normalization import VARIANCE_FLOOR
 
 D = 3
 update = jax.jit(normalization.update)

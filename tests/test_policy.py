@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mapg_jax import load_policy
-from mapg_jax.checkpointing import Checkpoints
-from mapg_jax.training import make_trainer
+from mapg_jax.runs.checkpoints import Checkpoints
+from mapg_jax.training.trainer import make_trainer
 
 
 @pytest.fixture(scope="module")

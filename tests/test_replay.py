@@ -8,7 +8,7 @@ import numpy as np
 import oracles
 import pytest
 
-from mapg_jax import replay
+from mapg_jax.training import replay
 
 add = jax.jit(replay.add)
 

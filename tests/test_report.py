@@ -9,11 +9,13 @@ import numpy as np
 import oracles
 import pytest
 
-from mapg_jax import plotting, report, statistics, tables
-from mapg_jax.config import Config
-from mapg_jax.document import Bullets, Heading, Paragraph, Picture, Table, markdown, page
-from mapg_jax.results import append_csv, compared_settings, read_run
-from mapg_jax.run_folder import RunFolder
+from mapg_jax.reports import inference as statistics
+from mapg_jax.reports import plots as plotting
+from mapg_jax.reports import report, tables
+from mapg_jax.reports.document import Bullets, Heading, Paragraph, Picture, Table, markdown, page
+from mapg_jax.reports.results import append_csv, compared_settings, read_run
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.training.config import Config
 
 SCORES = {
     ("hopper", 1): [10.0, 12.0, 9.0, 11.0],

@@ -10,8 +10,7 @@ import oracles
 import pytest
 
 import mapg_jax
-from mapg_jax.config import Config
-from mapg_jax.results import (
+from mapg_jax.reports.results import (
     Result,
     UnfinishedError,
     append_csv,
@@ -24,7 +23,8 @@ from mapg_jax.results import (
     separate,
     settings,
 )
-from mapg_jax.run_folder import RunFolder, write_json
+from mapg_jax.runs.folder import RunFolder, write_json
+from mapg_jax.training.config import Config
 
 RESULT = oracles.result()
 

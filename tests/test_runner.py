@@ -16,15 +16,15 @@ import oracles
 import pytest
 
 import mapg_jax
-from mapg_jax import runner, signals
-from mapg_jax.checkpointing import Checkpoints
-from mapg_jax.config import PRESETS
-from mapg_jax.member import DivergedError
-from mapg_jax.run_folder import RunFolder
-from mapg_jax.runner import resume, start
-from mapg_jax.signals import StoppedError
-from mapg_jax.tracking import Progress, read_metrics
-from mapg_jax.training import make_trainer
+from mapg_jax.runs import runner, signals
+from mapg_jax.runs.checkpoints import Checkpoints
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.member import DivergedError
+from mapg_jax.runs.metrics import Progress, read_metrics
+from mapg_jax.runs.runner import resume, start
+from mapg_jax.runs.signals import StoppedError
+from mapg_jax.training.config import PRESETS
+from mapg_jax.training.trainer import make_trainer
 
 CLOCK = ("seconds", "per_second")
 

@@ -10,8 +10,8 @@ import oracles
 import pytest
 
 from mapg_jax import evaluate, load_policy
-from mapg_jax.checkpointing import Checkpoints
-from mapg_jax.run_folder import RunFolder
+from mapg_jax.runs.checkpoints import Checkpoints
+from mapg_jax.runs.folder import RunFolder
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mapg_jax import statistics
-from mapg_jax.statistics import (
+from mapg_jax.reports import inference as statistics
+from mapg_jax.reports.inference import (
     RESAMPLES,
     Estimate,
     bootstrap,

@@ -13,14 +13,19 @@ from typing import ClassVar
 import oracles
 import pytest
 
-from mapg_jax import cli, grouping, sweep, sweep_command, sweep_table, timing
-from mapg_jax.config import PRESETS, Config
-from mapg_jax.finishing import is_finished
-from mapg_jax.grouping import Job, groups, workers_that_fit
-from mapg_jax.run_folder import RunFolder
-from mapg_jax.sweep_folder import SweepFolder
-from mapg_jax.tracking import read_metrics
-from mapg_jax.workers import Worker, shares
+from mapg_jax.cli.main import main as cli
+from mapg_jax.cli import sweep as sweep_command
+from mapg_jax.runs.finishing import is_finished
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.metrics import read_metrics
+from mapg_jax.sweeps import forecast as timing
+from mapg_jax.sweeps import groups as grouping
+from mapg_jax.sweeps import sweep
+from mapg_jax.sweeps import table as sweep_table
+from mapg_jax.sweeps.folder import SweepFolder
+from mapg_jax.sweeps.groups import Job, groups, workers_that_fit
+from mapg_jax.sweeps.pool import Worker, shares
+from mapg_jax.training.config import PRESETS, Config
 
 RUN = dataclasses.replace(oracles.RUN, steps=400, checkpoint_seconds=300.0, checkpoints_kept=2)
 FLAGS = (

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tensorboardX.proto.event_pb2 import Event
 
-from mapg_jax.tracking import MetricsFile, Progress, cut_metrics, read_metrics
+from mapg_jax.runs.metrics import MetricsFile, Progress, cut_metrics, read_metrics
 
 ROWS = [
     {"env_steps": steps, "return_mean": float(np.float32(0.1) * steps), "seconds": math.pi}

@@ -12,10 +12,10 @@ import pytest
 from jax import export
 
 import envs
-from mapg_jax import heads
-from mapg_jax.config import PRESETS, Config
-from mapg_jax.loop import run_keys, state_bytes
-from mapg_jax.training import Trainer, make_trainer
+from mapg_jax.algorithms import heads
+from mapg_jax.training.config import PRESETS, Config
+from mapg_jax.training.loop import run_keys, state_bytes
+from mapg_jax.training.trainer import Trainer, make_trainer
 
 TIME_LIMIT = 5
 LIGHT = dataclasses.replace(oracles.TINY, hidden=(4, 4), layer_norm=False, normalize=False)

@@ -6,7 +6,7 @@ from written import write, write_curve, write_laps
 
 from experiments import claims, fig2, fig3, overhead, page, rows
 from experiments.plan import A3C, DDPG, MAPG, NO_NOISE, make_plan
-from mapg_jax import statistics
+from mapg_jax.reports import inference as statistics
 
 
 @pytest.fixture

@@ -11,12 +11,12 @@ import pytest
 from experiments import overhead, page, paper, rows, scores
 from experiments.catalogue import TITLES, Name, experiment
 from experiments.plan import A3C, MAPG, NO_NOISE, Plan, in_order, make_plan, name
-from mapg_jax.config import PRESETS
-from mapg_jax.member import DIVERGED
-from mapg_jax.results import append_csv
-from mapg_jax.run_folder import RunFolder, write_json
-from mapg_jax.signals import StoppedError
-from mapg_jax.worker import failure_file
+from mapg_jax.reports.results import append_csv
+from mapg_jax.runs.folder import RunFolder, write_json
+from mapg_jax.runs.member import DIVERGED
+from mapg_jax.runs.signals import StoppedError
+from mapg_jax.sweeps.worker import failure_file
+from mapg_jax.training.config import PRESETS
 
 NAMES: list[Name] = list(TITLES)
 

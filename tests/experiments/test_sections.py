@@ -5,8 +5,8 @@ from written import result, write, write_laps
 
 from experiments import boxes, heads, overhead, page, rows, scores
 from experiments.plan import A3C, DDPG, MAPG, make_plan
-from mapg_jax import statistics
-from mapg_jax.results import append_csv
+from mapg_jax.reports import inference as statistics
+from mapg_jax.reports.results import append_csv
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import numpy as np
 
 from experiments import curves, fig2, rows, scores
 from experiments.plan import DRIVING, MAPG
-from mapg_jax.results import Result, append_csv
+from mapg_jax.reports.results import Result, append_csv
 
 
 def result(config, score, **extra) -> Result:

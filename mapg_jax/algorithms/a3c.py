@@ -1,0 +1,237 @@
+"""A3C, batched and synchronous: n-step returns, losses and the update (Mnih et al. 2016).
+
+What asynchronous workers did each with its own copy of the parameters, N environments do side by
+side with one. All functions are pure.
+"""
+
+import dataclasses
+from typing import ClassVar, Literal, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
+
+from mapg_jax.algorithms.descent import Params, descend
+from mapg_jax.algorithms.networks import GaussianActor, StateCritic
+
+
+class Rollout(NamedTuple):
+    """T steps of N environments."""
+
+    observation: jax.Array  # [T, N, D]
+    action: jax.Array  # [T, N, A], the Gaussian's sample; its clip to [-1, 1] was executed
+    reward: jax.Array  # [T, N]
+    terminal: jax.Array  # [T, N] bool, no bootstrap
+    ended: jax.Array  # [T, N] bool, the next row is of another episode
+    next_observation: jax.Array  # [T, N, D], before any reset
+
+
+class Hyperparameters(struct.PyTreeNode):
+    """Numbers an update reads; traced, so that the runs of one compiled program may differ."""
+
+    heads: jax.Array  # [] i32: 1, the mean is the only proposal
+    discount: jax.Array  # [], γ
+    actor_learning_rate: jax.Array  # []
+    critic_learning_rate: jax.Array  # []
+    entropy_weight: jax.Array  # []
+
+
+class LearnerState(struct.PyTreeNode):
+    """All that an update changes."""
+
+    actor: Params
+    critic: Params
+    actor_optimizer: optax.OptState
+    critic_optimizer: optax.OptState
+    updates: jax.Array  # [] i32
+
+
+class UpdateMetrics(NamedTuple):
+    """Diagnostics of one update; the next one never reads them."""
+
+    critic_loss: jax.Array  # []
+    actor_loss: jax.Array  # []
+    value_mean: jax.Array  # []
+    entropy: jax.Array  # []
+    action_std: jax.Array  # []
+    critic_gradient_norm: jax.Array  # []
+    actor_gradient_norm: jax.Array  # []
+
+
+def n_step_returns(
+    reward: Float[Array, "T N"],
+    discount: Float[Array, "T N"],
+    ended: Bool[Array, "T N"],
+    next_value: Float[Array, "T N"],
+) -> Float[Array, "T N"]:
+    r"""The longest return that each step of the rollout has.
+
+    $R_t = r_t + \gamma_t R_{t+1}$, where $V(s_{t+1})$ stands for $R_{t+1}$ if the episode ended at
+    t or t is the last step (Mnih et al. 2016, Algorithm S3).
+
+    Args:
+      reward: $r_t$, reward units per step.
+      discount: $\gamma_t$, 0 where the episode terminated (truncation keeps it).
+      ended: whether the episode ended at t, either way.
+      next_value: $V(s_{t+1})$ of what the step observed, before any reset.
+    """
+
+    def back(following, row):
+        reward, discount, ended, next_value = row
+        following = reward + discount * jnp.where(ended, next_value, following)
+        return following, following
+
+    rows = reward, discount, ended, next_value
+    return jax.lax.scan(back, next_value[-1], rows, reverse=True)[1]
+
+
+def log_probability(
+    action: Float[Array, "*B A"], mean: Float[Array, "*B A"], variance: Float[Array, "*B"]
+) -> Float[Array, "*B"]:
+    r"""$-\frac{1}{2\sigma^2} \|a - \mu\|^2 - \frac{A}{2} \log 2\pi\sigma^2$."""
+    squares = jnp.square(action - mean).sum(-1)
+    return -0.5 * (squares / variance + action.shape[-1] * jnp.log(2 * jnp.pi * variance))
+
+
+def entropy(variance: Float[Array, "*B"], action_size: int) -> Float[Array, "*B"]:
+    r"""Differential entropy of the Gaussian, $\frac{A}{2} (\log 2\pi\sigma^2 + 1)$."""
+    return 0.5 * action_size * (jnp.log(2 * jnp.pi * variance) + 1)
+
+
+@dataclasses.dataclass(frozen=True)
+class A3c:
+    """The static part of the algorithm: networks and optimiser."""
+
+    actor: GaussianActor
+    critic: StateCritic
+    optimizer: optax.GradientTransformation
+    """Scales gradients; the learning rates are applied after it."""
+    selects: ClassVar[tuple[str, ...]] = ("uniform", "mean")
+    """The ways in which it can make one action of a state's Gaussian; see `act`."""
+
+    def init(self, key: PRNGKeyArray, observation_size: int) -> LearnerState:
+        """Fresh networks."""
+        actor_key, critic_key = jax.random.split(key)
+        observation = jnp.zeros((1, observation_size))
+        actor = self.actor.init(actor_key, observation)
+        critic = self.critic.init(critic_key, observation)
+        return LearnerState(
+            actor=actor,
+            critic=critic,
+            actor_optimizer=self.optimizer.init(actor),
+            critic_optimizer=self.optimizer.init(critic),
+            updates=jnp.zeros((), jnp.int32),
+        )
+
+    def gaussian(
+        self, actor: Params, observation: Float[Array, "*B D"]
+    ) -> tuple[Float[Array, "*B A"], Float[Array, "*B"]]:
+        """Mean and variance of the action."""
+        return cast(tuple[Array, Array], self.actor.apply(actor, observation))
+
+    def sample(
+        self, actor: Params, observation: Float[Array, "*B D"], key: PRNGKeyArray
+    ) -> Float[Array, "*B A"]:
+        """One draw of the Gaussian a state, which may lie outside of [-1, 1]."""
+        mean, variance = self.gaussian(actor, observation)
+        return mean + jnp.sqrt(variance)[..., None] * jax.random.normal(key, mean.shape)
+
+    def act(
+        self,
+        state: LearnerState,
+        hyper: Hyperparameters,
+        observation: Float[Array, "*B D"],
+        key: PRNGKeyArray,
+        select: Literal["uniform", "mean"],
+    ) -> Float[Array, "*B A"]:
+        """One action a state: `uniform` draws it as in training, `mean` takes the mean."""
+        if select == "mean":
+            return self.gaussian(state.actor, observation)[0]
+        return jnp.clip(self.sample(state.actor, observation, key), -1.0, 1.0)
+
+    def proposals(self, actor: Params, observation: Float[Array, "*B D"]) -> Float[Array, "*B 1 A"]:
+        """The mean, as the one action that is proposed."""
+        return self.gaussian(actor, observation)[0][..., None, :]
+
+    def value(self, critic: Params, observation: Float[Array, "*B D"]) -> Float[Array, "*B"]:
+        """V."""
+        return cast(Array, self.critic.apply(critic, observation))
+
+    def values(
+        self, critic: Params, observation: Float[Array, "*B D"], actions: Float[Array, "*B 1 A"]
+    ) -> Float[Array, "*B 1"]:
+        """V as the value of the one action that is proposed."""
+        return self.value(critic, observation)[..., None]
+
+    def actor_loss(
+        self,
+        actor: Params,
+        rollout: Rollout,
+        advantage: Float[Array, "T N"],
+        entropy_weight: Float[Array, ""],
+    ) -> tuple[Float[Array, ""], tuple[Float[Array, ""], Float[Array, ""]]]:
+        r"""$-\frac{1}{TN} \sum_{t,i} (A_{ti} \log \pi(a_{ti}|s_{ti}) + \beta H_{ti})$.
+
+        $A = R - V$ is the advantage and H the entropy; $\pi$ is the density of the sample, not of
+        the clipped action that is executed. Beside the loss: the means of the entropy and of σ.
+        """
+        mean, variance = self.gaussian(actor, rollout.observation)
+        gain = (advantage * log_probability(rollout.action, mean, variance)).mean()
+        entropy_mean = entropy(variance, self.actor.action_size).mean()
+        loss = -(gain + entropy_weight * entropy_mean)
+        return loss, (entropy_mean, jnp.sqrt(variance).mean())
+
+    def critic_loss(
+        self, critic: Params, rollout: Rollout, returns: Float[Array, "T N"]
+    ) -> Float[Array, ""]:
+        r"""$\frac{1}{TN} \sum_{t,i} (R_{ti} - V(s_{ti}))^2$."""
+        return jnp.square(returns - self.value(critic, rollout.observation)).mean()
+
+    def update(
+        self, state: LearnerState, hyper: Hyperparameters, rollout: Rollout
+    ) -> tuple[LearnerState, UpdateMetrics]:
+        """One update of actor and critic, both on the advantages of the critic before it.
+
+        Args:
+          state: the learner.
+          hyper: its numbers.
+          rollout: collected by this actor, observations normalised.
+        """
+        discount = jnp.where(rollout.terminal, 0.0, hyper.discount)
+        next_value = self.value(state.critic, rollout.next_observation)
+        returns = n_step_returns(rollout.reward, discount, rollout.ended, next_value)
+        value = self.value(state.critic, rollout.observation)
+
+        (actor_loss, (entropy_mean, action_std)), actor_gradient = jax.value_and_grad(
+            self.actor_loss, has_aux=True
+        )(state.actor, rollout, returns - value, hyper.entropy_weight)
+        critic_loss, critic_gradient = jax.value_and_grad(self.critic_loss)(
+            state.critic, rollout, returns
+        )
+        actor, actor_optimizer = descend(
+            self.optimizer,
+            state.actor,
+            actor_gradient,
+            state.actor_optimizer,
+            hyper.actor_learning_rate,
+        )
+        critic, critic_optimizer = descend(
+            self.optimizer,
+            state.critic,
+            critic_gradient,
+            state.critic_optimizer,
+            hyper.critic_learning_rate,
+        )
+        state = LearnerState(actor, critic, actor_optimizer, critic_optimizer, state.updates + 1)
+        metrics = UpdateMetrics(
+            critic_loss=critic_loss,
+            actor_loss=actor_loss,
+            value_mean=value.mean(),
+            entropy=entropy_mean,
+            action_std=action_std,
+            critic_gradient_norm=optax.tree.norm(critic_gradient),
+            actor_gradient_norm=optax.tree.norm(actor_gradient),
+        )
+        return state, metrics

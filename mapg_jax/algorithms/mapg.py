@@ -1,0 +1,270 @@
+"""Multiple Action Policy Gradients: losses and the update. DDPG is M = 1.
+
+All functions are pure: what an update changes is the `LearnerState` it returns.
+"""
+
+import dataclasses
+from typing import ClassVar, Literal, NamedTuple, cast, get_args
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+from jaxtyping import Array, Float, Integer, PRNGKeyArray
+
+from mapg_jax.algorithms import heads as heads_
+from mapg_jax.algorithms.descent import Params, descend
+from mapg_jax.algorithms.networks import Actor, Critic
+
+GradientRule = Literal["stored", "resampled", "all"]
+"""Which heads an actor update reaches: the one that acted, a fresh one a sample, or all."""
+TargetRule = Literal["mean", "sampled"]
+"""What the target bootstraps from: the mean over the heads (Eq. 6), or one head drawn a sample."""
+
+
+class Transition(NamedTuple):
+    """One environment step, as it is stored."""
+
+    observation: jax.Array  # [D], raw
+    head: jax.Array  # [] i32, the head that acted
+    action: jax.Array  # [A], executed: the head's proposal with noise, in [-1, 1]
+    reward: jax.Array  # []
+    terminal: jax.Array  # [] bool, no bootstrap
+    next_observation: jax.Array  # [D], raw, before any reset
+
+
+class Hyperparameters(struct.PyTreeNode):
+    """Numbers an update reads; traced, so that the runs of one compiled program may differ."""
+
+    heads: jax.Array  # [] i32, M
+    discount: jax.Array  # [], γ
+    tau: jax.Array  # [], τ
+    actor_learning_rate: jax.Array  # []
+    critic_learning_rate: jax.Array  # []
+    critic_l2: jax.Array  # []
+    noise_scale: jax.Array  # [], σ in the first environment
+    noise_scale_last: jax.Array  # [], σ in the last one
+
+
+class LearnerState(struct.PyTreeNode):
+    """All that an update changes."""
+
+    actor: Params
+    critic: Params
+    actor_target: Params
+    critic_target: Params
+    actor_optimizer: optax.OptState
+    critic_optimizer: optax.OptState
+    updates: jax.Array  # [] i32
+
+
+class UpdateMetrics(NamedTuple):
+    """Diagnostics of one update; the next one never reads them."""
+
+    critic_loss: jax.Array  # []
+    actor_loss: jax.Array  # []
+    q_mean: jax.Array  # []
+    critic_gradient_norm: jax.Array  # []
+    actor_gradient_norm: jax.Array  # []
+
+
+def td_target(
+    reward: Float[Array, "B"], discount: Float[Array, "B"], next_value: Float[Array, "B"]
+) -> Float[Array, "B"]:
+    r"""One-step return.
+
+    $y_b = r_b + \gamma_b\, V'(s'_b)$ with $V' = \frac{1}{M} \sum_m Q'(s', \rho'_m(s'))$ (MAPG,
+    Eq. 6; DDPG where M = 1).
+
+    Args:
+      reward: $r$, reward units per step.
+      discount: $\gamma_b$, 0 where the episode terminated (truncation keeps it).
+      next_value: $V'$ of the target networks.
+    """
+    return reward + discount * next_value
+
+
+def kernel_l2(params: Params) -> Float[Array, ""]:
+    r"""$\frac{1}{2} \sum_W \|W\|^2$ over the weight matrices; biases and layer norms are free."""
+    leaves = jax.tree_util.tree_leaves_with_path(params)
+    kernels = [x for path, x in leaves if "kernel" in jax.tree_util.keystr(path)]
+    return 0.5 * jax.tree.reduce(jnp.add, [jnp.square(x).sum() for x in kernels])
+
+
+@dataclasses.dataclass(frozen=True)
+class Mapg:
+    """The static part of the algorithm: networks, optimiser and rules."""
+
+    actor: Actor
+    critic: Critic
+    optimizer: optax.GradientTransformation
+    """Scales gradients; the learning rates are applied after it."""
+    gradient: GradientRule = "stored"
+    target: TargetRule = "mean"
+    selects: ClassVar[tuple[str, ...]] = get_args(heads_.Select)
+    """The ways in which it can make one action of a state's proposals."""
+
+    def init(self, key: PRNGKeyArray, observation_size: int) -> LearnerState:
+        """Fresh networks, their targets equal to them."""
+        actor_key, critic_key = jax.random.split(key)
+        observation = jnp.zeros((1, observation_size))
+        actor = self.actor.init(actor_key, observation)
+        actions = jnp.zeros((1, 1, self.actor.action_size))
+        critic = self.critic.init(critic_key, observation, actions)
+        return LearnerState(
+            actor=actor,
+            critic=critic,
+            actor_target=actor,
+            critic_target=critic,
+            actor_optimizer=self.optimizer.init(actor),
+            critic_optimizer=self.optimizer.init(critic),
+            updates=jnp.zeros((), jnp.int32),
+        )
+
+    def proposals(self, actor: Params, observation: Float[Array, "*B D"]) -> Float[Array, "*B M A"]:
+        """All M actions, padding included."""
+        return cast(Array, self.actor.apply(actor, observation))
+
+    def proposal(
+        self, actor: Params, observation: Float[Array, "*B D"], head: Integer[Array, "*B"]
+    ) -> Float[Array, "*B A"]:
+        """The action of one head a state; the gradient reaches that head alone."""
+        return cast(Array, self.actor.apply(actor, observation, head))
+
+    def values(
+        self, critic: Params, observation: Float[Array, "*B D"], actions: Float[Array, "*B K A"]
+    ) -> Float[Array, "*B K"]:
+        """Q of K actions a state."""
+        return cast(Array, self.critic.apply(critic, observation, actions))
+
+    def value(
+        self, critic: Params, observation: Float[Array, "*B D"], action: Float[Array, "*B A"]
+    ) -> Float[Array, "*B"]:
+        """Q of one action a state."""
+        return self.values(critic, observation, action[..., None, :])[..., 0]
+
+    def act(
+        self,
+        state: LearnerState,
+        hyper: Hyperparameters,
+        observation: Float[Array, "*B D"],
+        key: PRNGKeyArray,
+        select: heads_.Select,
+    ) -> Float[Array, "*B A"]:
+        """One action a state; see `heads.choose`."""
+        proposals = self.proposals(state.actor, observation)
+        values = self.values(state.critic, observation, proposals)
+        return heads_.choose(select, key, proposals, values, hyper.heads)
+
+    def next_value(
+        self,
+        state: LearnerState,
+        hyper: Hyperparameters,
+        observation: Float[Array, "B D"],
+        key: PRNGKeyArray,
+    ) -> Float[Array, "B"]:
+        r"""$V'(s')$ of the target networks: the mean over heads, or that of one head drawn."""
+        if self.target == "sampled":
+            head = heads_.draw(key, hyper.heads, observation.shape[:1])
+            action = self.proposal(state.actor_target, observation, head)
+            return self.value(state.critic_target, observation, action)
+        proposals = self.proposals(state.actor_target, observation)
+        values = self.values(state.critic_target, observation, proposals)
+        return heads_.mean(values, hyper.heads)
+
+    def critic_loss(
+        self,
+        critic: Params,
+        batch: Transition,
+        target: Float[Array, "B"],
+        critic_l2: Float[Array, ""],
+    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        r"""The critic's loss:
+
+        $\frac{1}{B} \sum_b (y_b - Q(s_b, a_b))^2 + \frac{\lambda}{2} \sum_W \|W\|^2$, and mean Q.
+        """
+        q = self.value(critic, batch.observation, batch.action)
+        loss = jnp.square(target - q).mean() + critic_l2 * kernel_l2(critic)
+        return loss, q.mean()
+
+    def actor_loss(
+        self,
+        actor: Params,
+        critic: Params,
+        batch: Transition,
+        hyper: Hyperparameters,
+        key: PRNGKeyArray,
+    ) -> Float[Array, ""]:
+        r"""$-\frac{1}{B} \sum_b Q(s_b, \rho_{j_b}(s_b))$ (MAPG, Algorithm 1).
+
+        $j_b$ is the head that acted (`stored`) or a fresh one (`resampled`); `all` takes the mean
+        over the heads instead, the full gradient of Eq. 6's objective.
+        """
+        if self.gradient == "all":
+            proposals = self.proposals(actor, batch.observation)
+            values = self.values(critic, batch.observation, proposals)
+            return -heads_.mean(values, hyper.heads).mean()
+        head = batch.head
+        if self.gradient == "resampled":
+            head = heads_.draw(key, hyper.heads, head.shape)
+        action = self.proposal(actor, batch.observation, head)
+        return -self.value(critic, batch.observation, action).mean()
+
+    def update(
+        self, state: LearnerState, hyper: Hyperparameters, batch: Transition, key: PRNGKeyArray
+    ) -> tuple[LearnerState, UpdateMetrics]:
+        r"""One update of critic, actor and targets, in the order of Algorithm 1.
+
+        Args:
+          state: the learner.
+          hyper: its numbers.
+          batch: leaves [B, ...], observations normalised.
+          key: for the rules that draw heads.
+        """
+        target_key, head_key = jax.random.split(key)
+        discount = jnp.where(batch.terminal, 0.0, hyper.discount)
+        next_value = self.next_value(state, hyper, batch.next_observation, target_key)
+        target = td_target(batch.reward, discount, next_value)
+
+        (critic_loss, q_mean), critic_gradient = jax.value_and_grad(self.critic_loss, has_aux=True)(
+            state.critic, batch, target, hyper.critic_l2
+        )
+        critic, critic_optimizer = descend(
+            self.optimizer,
+            state.critic,
+            critic_gradient,
+            state.critic_optimizer,
+            hyper.critic_learning_rate,
+        )
+        actor_loss, actor_gradient = jax.value_and_grad(self.actor_loss)(
+            state.actor, critic, batch, hyper, head_key
+        )
+        actor, actor_optimizer = descend(
+            self.optimizer,
+            state.actor,
+            actor_gradient,
+            state.actor_optimizer,
+            hyper.actor_learning_rate,
+        )
+        state = LearnerState(
+            actor=actor,
+            critic=critic,
+            actor_target=_towards(state.actor_target, actor, hyper.tau),
+            critic_target=_towards(state.critic_target, critic, hyper.tau),
+            actor_optimizer=actor_optimizer,
+            critic_optimizer=critic_optimizer,
+            updates=state.updates + 1,
+        )
+        metrics = UpdateMetrics(
+            critic_loss=critic_loss,
+            actor_loss=actor_loss,
+            q_mean=q_mean,
+            critic_gradient_norm=optax.tree.norm(critic_gradient),
+            actor_gradient_norm=optax.tree.norm(actor_gradient),
+        )
+        return state, metrics
+
+
+def _towards(target: Params, params: Params, tau: Float[Array, ""]) -> Params:
+    r"""$\theta' \leftarrow \theta' + \tau (\theta - \theta')$."""
+    return jax.tree.map(lambda x, y: x + tau * (y - x), target, params)

@@ -1,0 +1,147 @@
+"""MAPG's actor with M heads and its critic, and A3C's Gaussian actor and critic of states.
+
+Two hidden layers with ReLU each (MAPG, section 4.1); layer norm before each ReLU, as in the code
+the paper ran on, can be turned off. Last layers start at U(±3e-3) (Lillicrap et al. 2016).
+"""
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Integer
+
+from mapg_jax.algorithms.heads import take
+
+LAST_LAYER_SCALE = 3e-3
+VARIANCE_FLOOR = 1e-4  # of A3C's Gaussian: σ of 0.01 in units of [-1, 1], so that 1 / σ² is bounded
+_hidden_init = nn.initializers.glorot_uniform()  # as in the code the paper ran on
+
+
+def _last_layer_uniform(key, shape, dtype=jnp.float32):
+    return jax.random.uniform(key, shape, dtype, -LAST_LAYER_SCALE, LAST_LAYER_SCALE)
+
+
+def _joint_init(fan_in):
+    """Glorot's uniform for a part of the rows of a kernel with `fan_in` rows in all."""
+
+    def init(key, shape, dtype=jnp.float32):
+        limit = (6 / (fan_in + shape[-1])) ** 0.5
+        return jax.random.uniform(key, shape, dtype, -limit, limit)
+
+    return init
+
+
+def _per_head_uniform(heads):
+    """U(±3e-3) head by head, so that head m starts the same whatever the number of heads."""
+
+    def init(key, shape, dtype=jnp.float32):
+        rows, columns = shape
+
+        def one_head(m):
+            head_key = jax.random.fold_in(key, m)
+            return _last_layer_uniform(head_key, (rows, columns // heads), dtype)
+
+        return jnp.moveaxis(jax.vmap(one_head)(jnp.arange(heads)), 0, 1).reshape(shape)
+
+    return init
+
+
+class _Rectifier(nn.Module):
+    """Layer norm (or none), then ReLU."""
+
+    layer_norm: bool
+
+    @nn.compact
+    def __call__(self, x):
+        return nn.relu(nn.LayerNorm()(x) if self.layer_norm else x)
+
+
+def _trunk(x, hidden, layer_norm):
+    for width in hidden:
+        x = nn.Dense(width, kernel_init=_hidden_init)(x)
+        x = _Rectifier(layer_norm)(x)
+    return x
+
+
+def _last_layer(width):
+    return nn.Dense(width, kernel_init=_last_layer_uniform, bias_init=_last_layer_uniform)
+
+
+class Actor(nn.Module):
+    r"""$\rho_1(s) \ldots \rho_M(s)$, each in [-1, 1]^A."""
+
+    heads: int
+    action_size: int
+    hidden: tuple[int, ...]
+    layer_norm: bool
+
+    @nn.compact
+    def __call__(
+        self, observation: Float[Array, "*B D"], head: Integer[Array, "*B"] | None = None
+    ) -> Float[Array, "*B {self.heads} {self.action_size}"] | Float[Array, "*B {self.action_size}"]:
+        """All M proposals, or that of one head a state; its gradient reaches that head alone."""
+        x = _trunk(observation, self.hidden, self.layer_norm)
+        # One matrix product for all heads, their outputs side by side: [B, W] x [W, M * A].
+        init = _per_head_uniform(self.heads)
+        kernel = self.param("kernel", init, (x.shape[-1], self.heads * self.action_size))
+        bias = self.param("bias", init, (1, self.heads * self.action_size))
+        x = (x @ kernel + bias[0]).reshape(*x.shape[:-1], self.heads, self.action_size)
+        return jnp.tanh(x if head is None else take(x, head))
+
+
+class Critic(nn.Module):
+    """Q(s, a) of K actions a state; the action joins at the second hidden layer."""
+
+    hidden: tuple[int, ...]
+    layer_norm: bool
+
+    @nn.compact
+    def __call__(
+        self,
+        observation: Float[Array, "*B D"],
+        actions: Float[Array, "*B K A"],
+    ) -> Float[Array, "*B K"]:
+        first, second, *rest = self.hidden
+        x = nn.Dense(first, kernel_init=_hidden_init)(observation)
+        x = self._join(_Rectifier(self.layer_norm)(x), actions, second)
+        x = _trunk(_Rectifier(self.layer_norm)(x), rest, self.layer_norm)
+        kernel = self.param("kernel", _last_layer_uniform, (x.shape[-1],))
+        return x @ kernel + self.param("bias", _last_layer_uniform, ())
+
+    def _join(self, features, actions, width):
+        """A dense layer on [features, action]; the features' part is computed once a state."""
+        sizes = features.shape[-1], actions.shape[-1]
+        init = _joint_init(sum(sizes))
+        features_kernel = self.param("features_kernel", init, (sizes[0], width))
+        action_kernel = self.param("action_kernel", init, (sizes[1], width))
+        bias = self.param("joint_bias", nn.initializers.zeros, (width,))
+        return (features @ features_kernel + bias)[..., None, :] + actions @ action_kernel
+
+
+class GaussianActor(nn.Module):
+    r"""$\mu(s)$ in [-1, 1]^A and one variance $\sigma^2(s)$ for all dimensions of the action.
+
+    $\mu$ by tanh, $\sigma^2$ by softplus (Mnih et al. 2016, section 9), which starts at 0.69.
+    """
+
+    action_size: int
+    hidden: tuple[int, ...]
+    layer_norm: bool
+
+    @nn.compact
+    def __call__(
+        self, observation: Float[Array, "*B D"]
+    ) -> tuple[Float[Array, "*B {self.action_size}"], Float[Array, "*B"]]:
+        x = _trunk(observation, self.hidden, self.layer_norm)
+        mean = jnp.tanh(_last_layer(self.action_size)(x))
+        return mean, nn.softplus(_last_layer(1)(x))[..., 0] + VARIANCE_FLOOR
+
+
+class StateCritic(nn.Module):
+    """V(s)."""
+
+    hidden: tuple[int, ...]
+    layer_norm: bool
+
+    @nn.compact
+    def __call__(self, observation: Float[Array, "*B D"]) -> Float[Array, "*B"]:
+        return _last_layer(1)(_trunk(observation, self.hidden, self.layer_norm))[..., 0]

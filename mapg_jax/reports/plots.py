@@ -1,0 +1,173 @@
+"""Pictures of a run, and of several runs together."""
+
+import pathlib
+from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mapg_jax.reports import inference as statistics
+from mapg_jax.runs.metrics import read_metrics
+
+if TYPE_CHECKING:  # slow to import, and needed once a run
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Curve = Mapping[str, np.ndarray]
+"""`env_steps` and other columns of metrics.csv."""
+COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+"""Okabe and Ito's, which the colour-blind tell apart too."""
+STYLES = ("-", "--", ":")
+"""Of lines, from the eighth on, when the colours come round again."""
+PANEL = (4.3, 3.2)  # inches
+LEAST_IN_A_BOX = 5
+
+
+def draw_curve(metrics: pathlib.Path, path: pathlib.Path, title: str) -> None:
+    """Return and spread of the actions (of A3C its σ) over environment steps, as a PNG."""
+    from matplotlib.figure import Figure
+
+    rows = read_metrics(metrics)
+    steps = [row["env_steps"] for row in rows]
+    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    upper, lower = figure.subplots(2, sharex=True, height_ratios=(2, 1))
+    mean = [row["return_mean"] for row in rows]
+    low = [row["return_mean"] - row["return_std"] for row in rows]
+    high = [row["return_mean"] + row["return_std"] for row in rows]
+    upper.plot(steps, mean, marker=".", color="tab:blue")
+    upper.fill_between(steps, low, high, alpha=0.2, color="tab:blue", linewidth=0)
+    episodes = int(rows[0]["episodes"])
+    upper.set(title=title, ylabel=f"return\nmean ± std of {episodes} episodes")
+    column, label = "spread", "spread of\nthe actions"
+    if "action_std" in rows[0]:
+        column, label = "action_std", "σ of\nthe actions"
+    lower.plot(steps, [row[column] for row in rows], marker=".", color="tab:orange")
+    lower.set(xlabel="environment steps", ylabel=label)
+    lower.set_ylim(bottom=0)
+    figure.savefig(path, dpi=120)
+
+
+def draw_curves(
+    tasks: Mapping[str, Mapping[str, Sequence[Curve]]],
+    column: str = "return_mean",
+    label: str = "return of an evaluation",
+) -> "Figure":
+    """A panel a task, a line an arm: the mean over its seeds, and the 95 % interval as a band.
+
+    n, the number of seeds, stands in the legend, from the least to the most of all panels.
+
+    Args:
+      tasks: by task and arm, the curve of every seed. An arm has one colour in all panels.
+      column: of the curves, what is drawn over environment steps.
+      label: of that axis, with its unit.
+    """
+    from matplotlib.ticker import EngFormatter
+
+    figure, panels = _panels(tasks, "environment steps", label)
+    arms = list(dict.fromkeys(arm for of_task in tasks.values() for arm in of_task))
+    for place, arm in enumerate(arms):
+        colour = COLOURS[place % len(COLOURS)]
+        style = STYLES[place // len(COLOURS) % len(STYLES)]
+        seeds = sorted({len(of_task[arm]) for of_task in tasks.values() if arm in of_task})
+        several = f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else seeds[0]
+        panels[0].plot([], [], label=f"{arm} (n = {several})", color=colour, linestyle=style)
+        for axes, of_task in zip(panels, tasks.values(), strict=True):
+            if arm in of_task:
+                steps, mean, low, high = mean_curve(of_task[arm], column)
+                axes.plot(steps, mean, linewidth=1.5, color=colour, linestyle=style)
+                axes.fill_between(steps, low, high, alpha=0.15, linewidth=0, color=colour)
+    for axes in panels:
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    _legend_below(figure, panels[0])
+    return figure
+
+
+def _legend_below(figure: "Figure", axes: "Axes") -> None:
+    """As many columns as fit the figure, which would cut off what is wider."""
+    handles, labels = axes.get_legend_handles_labels()
+    widest = 0.7 + 0.09 * max(map(len, labels))  # inches, of the line, its space and 10 pt letters
+    columns = max(1, int(figure.get_figwidth() / widest))
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(columns, 4), frameon=False)
+
+
+def mean_curve(
+    curves: Sequence[Curve], column: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Environment steps, and the mean over seeds with its 95 % bootstrap interval at each.
+
+    The steps are those of the curve with the fewest rows, as far as all curves go; the others are
+    interpolated linearly where they were evaluated at other steps.
+
+    Returns:
+      steps, mean, low, high: [T], nan where there is none.
+    """
+    last = min(curve["env_steps"][-1] for curve in curves)
+    first = max(curve["env_steps"][0] for curve in curves)
+    steps = min((curve["env_steps"] for curve in curves), key=len)
+    steps = steps[(steps >= first) & (steps <= last)]
+    values = [np.interp(steps, curve["env_steps"], curve[column]) for curve in curves]
+    band = np.full((3, len(steps)), np.nan)
+    for point, of_seeds in enumerate(np.transpose(values)):
+        if np.isfinite(of_seeds).all():
+            band[:, point] = statistics.mean(of_seeds)
+    return steps, band[0], band[1], band[2]
+
+
+def draw_boxes(
+    tasks: Mapping[str, Mapping[str, Sequence[Sequence[float] | np.ndarray]]],
+    label: str = "score: mean return of a run",
+) -> "Figure":
+    """A panel a task, a place an arm, and a dot a seed; from five numbers on a box.
+
+    A box has quartiles and median, whiskers to 1.5 times its height, and a speck for each number
+    beyond.
+
+    Args:
+      tasks: by task and arm, the numbers of every seed: its score alone, or the return of each of
+        its episodes. A box is of all numbers together, a dot the mean of one seed's.
+      label: of the vertical axis, with its unit.
+    """
+    figure, panels = _panels(tasks, "M, actions proposed per state", label)
+    for axes, of_task in zip(panels, tasks.values(), strict=True):
+        for place, seeds in enumerate(of_task.values()):
+            numbers = np.concatenate([np.atleast_1d(x) for x in (*seeds, [])])
+            if len(numbers) >= LEAST_IN_A_BOX:
+                axes.boxplot(
+                    numbers,
+                    positions=[place],
+                    widths=0.6,
+                    flierprops={"marker": ".", "markersize": 2},
+                    medianprops={"color": COLOURS[2], "linewidth": 2},
+                )
+            aside = 0.3 * (np.arange(len(seeds)) - (len(seeds) - 1) / 2) / max(1, len(seeds))
+            means = [np.mean(x) for x in seeds]
+            axes.plot(place + aside, means, "o", color=COLOURS[1], alpha=0.7, markersize=5)
+        counts = [f"n = {len(seeds)}" if seeds else "missing" for seeds in of_task.values()]
+        names = [f"{arm}\n{count}" for arm, count in zip(of_task, counts, strict=True)]
+        axes.set_xticks(range(len(names)), names)
+        axes.set_xlim(-0.6, len(names) - 0.4)
+    return figure
+
+
+def _panels(titles: Collection[str], below: str, beside: str) -> "tuple[Figure, list[Axes]]":
+    """A figure with a titled panel each, two side by side: legible at a page's width."""
+    from matplotlib.figure import Figure
+
+    if not titles:
+        raise ValueError("there is nothing to draw")
+    columns = min(2, len(titles))
+    rows = -(-len(titles) // columns)
+    width, height = PANEL if columns > 1 else (7, 4)
+    figure = Figure(figsize=(columns * width, rows * height), layout="constrained")
+    panels = list(figure.subplots(rows, columns, squeeze=False).ravel())
+    for axes in panels[len(titles) :]:
+        axes.remove()
+    for place, (axes, title) in enumerate(zip(panels, titles, strict=False)):
+        axes.set_title(title)
+        axes.grid(axis="y", alpha=0.3, linewidth=0.5)
+        axes.spines[["top", "right"]].set_visible(False)
+        if place % columns == 0:
+            axes.set_ylabel(beside)
+        if place + columns >= len(titles):
+            axes.set_xlabel(below)
+    return figure, panels[: len(titles)]

@@ -1,0 +1,325 @@
+"""Finished runs as records: one row of a results CSV each."""
+
+import contextlib
+import csv
+import dataclasses
+import datetime
+import io
+import itertools
+import json
+import math
+import os
+import pathlib
+import shlex
+import typing
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.metrics import read_metrics
+from mapg_jax.training.config import Config
+
+COLUMNS_OF_THEIR_OWN = {"env", "algorithm", "heads", "seed", "steps"}
+ALGORITHMS = ("ddpg", "mapg", "a3c")
+HOST_ONLY = {"evaluate_every", "evaluation_episodes", "final_episodes", "checkpoint_seconds",
+             "checkpoints_kept"}  # fmt: skip
+COMPARED = {"gradient", "target", "noise", "noise_scale", "noise_scale_last"}
+CURVE = ("env_steps", "return_mean", "return_std", "spread", "q_gap_relative")
+
+
+class UnfinishedError(ValueError):
+    """The run has not reached its last step, or its last policy has no score."""
+
+
+class Result(NamedTuple):
+    """One finished run: what was trained, how its last policy scored, and where it comes from."""
+
+    env: str
+    algorithm: str  # ddpg (MAPG with M = 1), mapg or a3c
+    heads: int  # M
+    seed: int
+    steps: int  # environment steps taken
+    return_mean: float  # over the episodes of the last policy
+    return_std: float  # with E - 1
+    episodes: int  # E
+    settings: str  # what else differs from the preset `paper`, as name=value
+    select: str  # how one action was made of the M proposals
+    physics: str  # what the episodes ran on
+    versions: str  # of the packages that define the task
+    seconds: float  # of training, by the wall clock
+    date: str  # UTC day of the run's last command
+    command: str
+    distance_mean: float | None = None  # driving: m an episode
+    laps_mean: float | None = None  # driving: an episode
+    lap_share: float | None = None  # driving: share of the episodes with a lap or more
+
+
+class Protocol(NamedTuple):
+    """What runs must have in common to be compared."""
+
+    steps: int
+    settings: str  # but those of the noise and the rules, which comparisons are about
+    select: str
+    physics: str
+    episodes: int
+    versions: str
+
+
+def read_run(folder: RunFolder | str | os.PathLike) -> Result:
+    """The record of a finished run, from what it wrote.
+
+    Raises:
+      UnfinishedError: if it has not reached its last step, or has no evaluation.
+      ValueError: if there is no run, or a file of it is damaged.
+    """
+    if not isinstance(folder, RunFolder):
+        folder = RunFolder.open(folder)
+    if not folder.evaluation.exists():
+        raise UnfinishedError(f"{folder.path} is not finished: it has no evaluation.json")
+    config, last = folder.config, _metrics(folder)[-1]
+    if last["env_steps"] < config.steps:
+        raise UnfinishedError(
+            f"{folder.path} is not finished: {last['env_steps']:,.0f} of {config.steps:,} steps"
+        )
+    with _reading(folder.path / "config.json") as record:
+        history = record["history"]
+        origin: dict[str, Any] = {
+            "versions": versions(config, history),
+            "date": history[-1].get("date") or _day(folder.evaluation),
+            "command": str(history[0]["command"]),
+        }
+    with _reading(folder.evaluation) as score:
+        result = Result(
+            env=config.env.lower(),
+            algorithm=algorithm(config),
+            heads=config.heads,
+            seed=config.seed,
+            steps=int(last["env_steps"]),
+            return_mean=_finite(score["mean"]),
+            return_std=_finite(score["std"]),
+            episodes=int(score["episodes"]),
+            settings=settings(config),
+            select=str(score["select"]),
+            physics=str(score["physics"]),
+            seconds=round(last["seconds"], 1),
+            **origin,
+            **_driving(score.get("metrics", {})),
+        )
+    if (scored := folder.scored_steps()) < config.steps:
+        raise UnfinishedError(f"{folder.path} is not finished: its score is of step {scored:,}")
+    return result
+
+
+def find_runs(path: str | os.PathLike) -> list[RunFolder]:
+    """The run at `path`, or all runs below it at any depth, in the order of their names.
+
+    Raises:
+      ValueError: if there is none, or the configuration of one is damaged.
+    """
+    path = pathlib.Path(path)
+    if not path.exists():
+        raise ValueError(f"there is no {path}")
+    if not path.is_dir():
+        raise ValueError(f"{path} is neither a run folder, a folder of them nor a CSV of results")
+    found = [RunFolder.open(file.parent) for file in sorted(path.rglob("config.json"))]
+    if not found:
+        raise ValueError(f"there are no runs in {path}")
+    return found
+
+
+def algorithm(config: Config) -> str:
+    """Its name in results: MAPG with M = 1 is DDPG."""
+    return "ddpg" if (config.algorithm, config.heads) == ("mapg", 1) else config.algorithm
+
+
+def settings(config: Config) -> str:
+    """Every field that bears on learning or the task and is not the preset paper's."""
+    paper = Config()
+    names = {field.name for field in dataclasses.fields(Config)} - COLUMNS_OF_THEIR_OWN - HOST_ONLY
+    values = {name: getattr(config, name) for name in sorted(names)}
+    values["env_options"] = tuple(sorted(config.env_options))
+    return shlex.join(f"{k}={_text(v)}" for k, v in values.items() if v != getattr(paper, k))
+
+
+def versions(config: Config, history: Iterable[Mapping[str, Any]]) -> str:
+    """The packages that define the task, of every process of a run, in order, where they differ.
+
+    Args:
+      config: of the run.
+      history: of its folder, or `run_folder.this_process()` alone.
+    """
+    names = ("gymnasium", "mujoco", *(["brax"] if config.env.startswith("brax:") else []))
+    texts = (", ".join(f"{n} {process['packages'][n]}" for n in names) for process in history)
+    return "; ".join(dict.fromkeys(texts))
+
+
+def compared_settings(result: Result) -> str:
+    """Those settings that arms of one comparison may differ in: the noise and the rules."""
+    return _filtered(result.settings, lambda name: name in COMPARED)
+
+
+def read_curve(folder: RunFolder | str | os.PathLike, rows: int = 40) -> dict[str, np.ndarray]:
+    """The columns CURVE of metrics.csv, thinned.
+
+    Args:
+      folder: of the run.
+      rows: at most so many, equally far apart, the last one among them.
+
+    Returns:
+      Arrays of float64, nan where the run has no such number.
+    """
+    if not isinstance(folder, RunFolder):
+        folder = RunFolder.open(folder)
+    table = _metrics(folder)
+    kept = table[:: -math.ceil(len(table) / rows)][::-1]
+    return {name: np.array([row.get(name, math.nan) for row in kept]) for name in CURVE}
+
+
+def protocol(result: Result) -> Protocol:
+    """What the run must have in common with another."""
+    common = result._replace(settings=_filtered(result.settings, lambda n: n not in COMPARED))
+    return Protocol(*(getattr(common, name) for name in Protocol._fields))
+
+
+def separate(results: Iterable[Result]) -> dict[Protocol, list[Result]]:
+    """Results that may be compared, apart from those that may not."""
+    groups: dict[Protocol, list[Result]] = {}
+    for result in results:
+        groups.setdefault(protocol(result), []).append(result)
+    return groups
+
+
+def identity(result: Result) -> tuple:
+    """What tells a run from every other one."""
+    arm = (result.env, result.algorithm, result.heads, result.settings)
+    return (*arm, result.seed, protocol(result))
+
+
+def merge(results: Iterable[Result]) -> list[Result]:
+    """Each run once, the first record of it.
+
+    Raises:
+      ValueError: if two records of one run have other scores.
+    """
+    kept: dict[tuple, Result] = {}
+    for result in results:
+        other = kept.setdefault(identity(result), result)
+        if (other.return_mean, other.return_std) != (result.return_mean, result.return_std):
+            raise ValueError(
+                f"two runs of {result.env}, {result.algorithm}, M = {result.heads}, "
+                f"seed {result.seed}, {result.steps:,} steps have other scores: "
+                f"{other.return_mean:.6g} of {other.date} and {result.return_mean:.6g} of "
+                f"{result.date}; leave one out"
+            )
+    return list(kept.values())
+
+
+def read_csv(path: str | os.PathLike) -> list[Result]:
+    """The rows of a results CSV; none if there is no file.
+
+    Raises:
+      ValueError: if a column is missing or unknown, or a number is not one.
+    """
+    path = pathlib.Path(path)
+    if not path.exists():
+        return []
+    try:
+        header, *rows = list(csv.reader(io.StringIO(path.read_text()), strict=True)) or [[]]
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is no CSV: {error}") from None
+    if tuple(header) != Result._fields:
+        raise ValueError(
+            f"{path} is no CSV of results: its columns are {','.join(header)[:200]}, "
+            f"not {','.join(Result._fields)}"
+        )
+    return [_parse(row, f"{path}, row {number}") for number, row in enumerate(rows, 2)]
+
+
+def append_csv(path: str | os.PathLike, results: Sequence[Result]) -> None:
+    """Adds those results that the file lacks: all of them or, if that fails, none.
+
+    Raises:
+      ValueError: if a run is there with another score, or the file is damaged.
+    """
+    path = pathlib.Path(path)
+    rows = merge(itertools.chain(read_csv(path), results))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".partial")
+    with partial.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(Result._fields)
+        writer.writerows(rows)
+    partial.replace(path)
+
+
+def _parse(row: Sequence[str], where: str) -> Result:
+    """Texts as the types of the fields."""
+    hints = typing.get_type_hints(Result)
+    if len(row) != len(hints):
+        raise ValueError(f"{where} has {len(row)} cells, not {len(hints)}")
+    values = []
+    for (name, hint), text in zip(hints.items(), row, strict=True):
+        try:
+            if hint in (str, int):
+                values.append(hint(text))
+            else:
+                values.append(_finite(text) if text or hint is float else None)
+        except ValueError:
+            raise ValueError(f"{where}: {name} is no number: {text!r}") from None
+    result = Result(*values)
+    if result.algorithm not in ALGORITHMS:
+        known = ", ".join(ALGORITHMS)
+        raise ValueError(f"{where}: algorithm must be one of {known}, got {result.algorithm!r}")
+    return result
+
+
+def _metrics(folder: RunFolder) -> list[dict[str, float]]:
+    try:
+        rows = read_metrics(folder.metrics)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{folder.metrics} is damaged: {error}") from None
+    if not rows or not {"env_steps", "seconds"} <= set(rows[-1]):
+        raise ValueError(f"{folder.metrics} is damaged: it has no rows")
+    return rows
+
+
+@contextlib.contextmanager
+def _reading(path: pathlib.Path) -> Iterator[dict[str, Any]]:
+    """The record in a JSON file; what is wrong or missing in it is said with its name."""
+    try:
+        yield json.loads(path.read_text())
+    except KeyError as error:
+        raise ValueError(f"{path} is damaged: it lacks {error}") from None
+    except (AttributeError, IndexError, OSError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is damaged: {error}") from None
+
+
+def _finite(value: str | int | float) -> float:
+    number = float(value)
+    if not math.isfinite(number):
+        raise ValueError(f"{value} is not finite")
+    return number
+
+
+def _driving(metrics: dict[str, list[float]]) -> dict[str, Any]:
+    found = {}
+    if "distance" in metrics:
+        found["distance_mean"] = float(np.mean(metrics["distance"]))
+    if "laps" in metrics:
+        found["laps_mean"] = float(np.mean(metrics["laps"]))
+        found["lap_share"] = float(np.mean(np.array(metrics["laps"]) >= 1))
+    return found
+
+
+def _text(value: Any) -> str:
+    return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+def _filtered(settings: str, keep: Callable[[str], bool]) -> str:
+    return shlex.join(s for s in shlex.split(settings) if keep(s.partition("=")[0]))
+
+
+def _day(path: pathlib.Path) -> str:
+    return datetime.datetime.fromtimestamp(path.stat().st_mtime, datetime.UTC).date().isoformat()

@@ -1,0 +1,192 @@
+"""Scores of finished runs by task and arm, as tables. docs/report.md defines their numbers."""
+
+import csv
+import io
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mapg_jax.reports import inference as statistics
+from mapg_jax.reports.document import Table
+from mapg_jax.reports.inference import Comparison, Estimate
+from mapg_jax.reports.results import Protocol, Result, compared_settings, separate
+
+
+class Arm(NamedTuple):
+    """What is compared on a task."""
+
+    algorithm: str
+    heads: int
+    settings: str  # of the noise and the rules
+
+    @property
+    def name(self) -> str:
+        first = {"ddpg": "DDPG", "a3c": "A3C"}.get(self.algorithm, f"M = {self.heads}")
+        return f"{first}, {self.settings}" if self.settings else first
+
+    @property
+    def baseline(self) -> "Arm":
+        """DDPG with the same noise; rules over heads say nothing where there is one."""
+        noise = (text for text in self.settings.split() if text.startswith("noise"))
+        return Arm("ddpg", 1, " ".join(noise))
+
+    @property
+    def rank(self) -> tuple:
+        return ("ddpg", "a3c", "mapg").index(self.algorithm), self.heads, self.settings
+
+
+class Cell(NamedTuple):
+    """One arm on one task, over its seeds."""
+
+    env: str
+    arm: Arm
+    seeds: int
+    mean: Estimate
+    std: float  # over the episodes of a run, averaged over seeds
+    interquartile_mean: Estimate
+    median: Estimate
+    comparison: Comparison | None  # with DDPG
+
+
+def arm_of(result: Result) -> Arm:
+    """The arm that a run belongs to."""
+    return Arm(result.algorithm, result.heads, compared_settings(result))
+
+
+def by_cell(results: Iterable[Result]) -> dict[tuple[str, Arm], list[Result]]:
+    """Results of one protocol, by task and arm; tasks by name, arms with DDPG first, then by M."""
+    groups: dict[tuple[str, Arm], list[Result]] = {}
+    for result in sorted(results, key=lambda r: (r.env, arm_of(r).rank, r.seed)):
+        groups.setdefault((result.env, arm_of(result)), []).append(result)
+    return groups
+
+
+def cells(results: Iterable[Result]) -> list[Cell]:
+    """The statistics of every task and arm that the results have."""
+    groups = by_cell(results)
+    scores = {key: [r.return_mean for r in of_cell] for key, of_cell in groups.items()}
+
+    def comparison(env: str, arm: Arm) -> Comparison | None:
+        old = scores.get((env, arm.baseline))
+        if old is None or arm == arm.baseline:
+            return None
+        return statistics.compare(scores[env, arm], old)
+
+    return [
+        Cell(
+            env,
+            arm,
+            len(of_cell),
+            statistics.mean(scores[env, arm]),
+            float(np.mean([r.return_std for r in of_cell])),
+            statistics.interquartile_mean(scores[env, arm]),
+            statistics.median(scores[env, arm]),
+            comparison(env, arm),
+        )
+        for (env, arm), of_cell in groups.items()
+    ]
+
+
+def tables(results: Sequence[Result]) -> list[Table]:
+    """Scores by task and arm, missing ones too; the mean over tasks; driving's metrics."""
+    found = {(cell.env, cell.arm): cell for cell in cells(results)}
+    envs = sorted({env for env, _ in found})
+    arms = sorted({arm for _, arm in found}, key=lambda arm: arm.rank)
+    rows = [[env, arm.name, *_texts(found.get((env, arm)), arm)] for env in envs for arm in arms]
+    header = ("task", "arm", "n", "mean ± 3σ", "mean", "IQM", "median", "P over DDPG", "P is")
+    further = (over_tasks(results), driving(results))
+    return [Table(header, rows), *(table for table in further if table.rows)]
+
+
+def over_tasks(results: Iterable[Result]) -> Table:
+    """The mean over tasks of the probability of improvement over DDPG, where there are several."""
+    groups = by_cell(results)
+    pairs: dict[Arm, dict[str, tuple]] = {}
+    for (env, arm), of_cell in groups.items():
+        old = groups.get((env, arm.baseline))
+        if old and arm != arm.baseline:
+            scores = tuple([r.return_mean for r in side] for side in (of_cell, old))
+            pairs.setdefault(arm, {})[env] = scores
+    rows = []
+    for arm, of_arm in sorted(pairs.items(), key=lambda item: item[0].rank):
+        if len(of_arm) > 1:
+            estimate = statistics.mean_probability_of_improvement(list(of_arm.values()))
+            rows.append([arm.name, ", ".join(of_arm), _share(estimate)])
+    return Table(("arm", "tasks", "mean P over DDPG"), rows)
+
+
+def table_csv(results: Iterable[Result]) -> str:
+    """All cells of all protocols, one a row; an interval that there is none of is empty."""
+    file = io.StringIO()
+    estimates = ("mean", "interquartile_mean", "median", "improvement")
+    columns = [name + end for name in estimates for end in ("", "_low", "_high")]
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(["env", "arm", *Protocol._fields, "seeds", "std", *columns, "p", "verdict"])
+    missing = Estimate(math.nan, math.nan, math.nan)
+    for protocol, of_protocol in separate(results).items():
+        for cell in cells(of_protocol):
+            c = cell.comparison
+            numbers = [*cell.mean, *cell.interquartile_mean, *cell.median]
+            numbers += [*(c.improvement if c else missing), c.p if c else math.nan]
+            texts = ["" if math.isnan(x) else f"{x:.6g}" for x in (cell.std, *numbers)]
+            row = [cell.env, cell.arm.name, *protocol, cell.seeds, *texts]
+            writer.writerow([*row, c.verdict if c else ""])
+    return file.getvalue()
+
+
+def driving(results: Iterable[Result]) -> Table:
+    """Distance and laps, where the runs have them."""
+    rows = []
+    for (env, arm), of_cell in by_cell(results).items():
+        metrics = [
+            [r.distance_mean, r.laps_mean, r.lap_share]
+            for r in of_cell
+            if r.distance_mean is not None
+        ]
+        if metrics:
+            estimates = [statistics.mean(values) for values in np.array(metrics, float).T]
+            distance, laps, share = estimates
+            texts = (_number(distance), _share(laps), _share(share))
+            rows.append([env, arm.name, str(len(metrics)), *texts])
+    return Table(("task", "arm", "n", "distance, m", "laps", "episodes with a lap"), rows)
+
+
+def _texts(cell: Cell | None, arm: Arm) -> list[str]:
+    if cell is None:
+        return ["0", *["missing"] * 6]
+    comparison = cell.comparison
+    if arm == arm.baseline:
+        improvement = ["", ""]
+    elif comparison is None:
+        improvement = ["DDPG missing", ""]
+    else:
+        p = f"p = {comparison.p:.2g}"
+        half = "undecided" if comparison.verdict == "undecided" else f"{comparison.verdict} ½"
+        improvement = [_share(comparison.improvement), f"{half}, {p}"]
+    mean = _digits(cell.mean.value)
+    return [
+        str(cell.seeds),
+        f"{mean} ± {_digits(3 * cell.std)}",
+        *(_number(e) for e in (cell.mean, cell.interquartile_mean, cell.median)),
+        *improvement,
+    ]
+
+
+def _number(estimate: Estimate) -> str:
+    return _with_interval(estimate, _digits)
+
+
+def _share(estimate: Estimate) -> str:
+    return _with_interval(estimate, lambda x: f"{x:.2f}")
+
+
+def _with_interval(estimate: Estimate, text: Callable[[float], str]) -> str:
+    if math.isnan(estimate.low):
+        return text(estimate.value)
+    return f"{text(estimate.value)} ({text(estimate.low)} to {text(estimate.high)})"
+
+
+def _digits(x: float) -> str:
+    return f"{x:,.0f}" if abs(x) >= 100 else f"{x:.1f}"

@@ -1,0 +1,176 @@
+"""The folder of a run: data only, nothing in it is executed or unpickled when it is read."""
+
+import contextlib
+import dataclasses
+import datetime
+import importlib.metadata
+import json
+import os
+import pathlib
+import platform
+import shlex
+import sys
+import typing
+from typing import Any, TextIO
+
+from mapg_jax.runs import locking
+from mapg_jax.training.config import Config
+
+PACKAGES = ("mapg-jax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "brax", "mujoco",
+            "mujoco-mjx", "gymnasium", "numpy")  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class RunFolder:
+    """Where a run keeps its configuration, metrics, checkpoints and evaluation."""
+
+    path: pathlib.Path
+    config: Config
+
+    @property
+    def metrics(self) -> pathlib.Path:
+        return self.path / "metrics.csv"
+
+    @property
+    def checkpoints(self) -> pathlib.Path:
+        return self.path / "checkpoints"
+
+    @property
+    def evaluation(self) -> pathlib.Path:
+        return self.path / "evaluation.json"
+
+    @property
+    def curve(self) -> pathlib.Path:
+        return self.path / "curve.png"
+
+    @classmethod
+    def create(cls, path: str | os.PathLike | None, config: Config) -> "RunFolder":
+        """A new folder with the configuration in it.
+
+        Args:
+          path: must not exist, or be empty; None takes the next free number under `runs/`.
+          config: of the run.
+
+        Raises:
+          ValueError: if the folder holds something or cannot be created.
+        """
+        path = _next_free(config) if path is None else pathlib.Path(path)
+        make_folder(path)
+        folder = cls(path, config)
+        folder.write_config()
+        return folder
+
+    @classmethod
+    def open(cls, path: str | os.PathLike) -> "RunFolder":
+        """The folder of an earlier run.
+
+        Raises:
+          ValueError: if there is no run, or its configuration cannot be read.
+        """
+        path = pathlib.Path(path)
+        file = path / "config.json"
+        if not path.is_dir():
+            raise ValueError(f"there is no run folder {path}")
+        if not file.is_file():
+            raise ValueError(f"{path} is not a run folder: it has no config.json")
+        try:
+            config = parse_config(json.loads(file.read_text())["config"])
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{file} is damaged: {error}") from None
+        return cls(path, config)
+
+    def write_config(self) -> None:
+        """Everything needed to run it again, and every command that went on with it."""
+        file = self.path / "config.json"
+        earlier = json.loads(file.read_text()).get("history", []) if file.exists() else []
+        config = dataclasses.asdict(self.config)
+        write_json(file, {"config": config, "history": [*earlier, this_process()]})
+
+    def scored_steps(self) -> int:
+        """Environment steps behind the score in evaluation.json; -1 without one to be read.
+
+        A policy can be scored while its run goes on, or after a crash. (Scores of the last policy
+        alone were written before they said their step.)
+        """
+        try:
+            return int(json.loads(self.evaluation.read_text()).get("env_steps", self.config.steps))
+        except (AttributeError, OSError, TypeError, ValueError):
+            return -1
+
+    def lock(self) -> TextIO:
+        """Held while the run is trained; see `locking.lock`."""
+        return locking.lock(self.path / ".lock", f"another process trains {self.path}")
+
+
+def this_process() -> dict[str, Any]:
+    """The command, day and versions of what is running, as a run's history holds them."""
+    return {
+        "command": shlex.join(["mapg", *sys.argv[1:]]),
+        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+        "python": platform.python_version(),
+        "packages": {name: _version(name) for name in PACKAGES},
+    }
+
+
+def make_folder(path: pathlib.Path) -> None:
+    """A new folder.
+
+    Raises:
+      ValueError: if it exists with something in it, or cannot be created.
+    """
+    made = [p for p in (path, *path.parents) if not p.exists()]
+    try:
+        path.mkdir(parents=True, exist_ok=path.exists() and is_blank(path))
+    except FileExistsError:
+        raise ValueError(
+            f"{path} exists already; choose another --out, or go on with: mapg resume {path}"
+        ) from None
+    except OSError as error:
+        for parent in made:  # the parents that were made before it failed
+            with contextlib.suppress(OSError):
+                parent.rmdir()
+        raise ValueError(f"{path} cannot be created: {error.strerror}") from None
+
+
+def is_blank(path: pathlib.Path) -> bool:
+    """Whether there is no run yet: a process can end as soon as it has made the folder."""
+    if not path.exists():
+        return True
+    return path.is_dir() and {file.name for file in path.iterdir()} <= {"config.partial"}
+
+
+def write_json(path: pathlib.Path, record: dict[str, Any]) -> None:
+    """Writes the whole file or leaves the old one."""
+    partial = path.with_suffix(".partial")
+    partial.write_text(json.dumps(record, indent=2) + "\n")
+    partial.replace(path)
+
+
+def _next_free(config: Config) -> pathlib.Path:
+    policy = "a3c" if config.algorithm == "a3c" else f"m{config.heads}"
+    stem = f"{config.env.replace(':', '-')}-{policy}"
+    number = 1
+    while (path := pathlib.Path("runs") / f"{stem}-{number}").exists():
+        number += 1
+    return path
+
+
+def parse_config(values: dict[str, Any]) -> Config:
+    """A configuration from JSON, which has no tuples.
+
+    A field that came after the run has the default, as the run had.
+    """
+    unknown = set(values) - set(typing.get_type_hints(Config))
+    if unknown:
+        raise ValueError(f"unknown: {', '.join(sorted(unknown))}")
+    arguments: dict[str, Any] = {
+        k: tuple(v) if isinstance(v, list) else v for k, v in values.items()
+    }
+    return Config(**arguments)
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None

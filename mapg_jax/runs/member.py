@@ -1,0 +1,100 @@
+"""What the host keeps of one run: its folder, its checkpoints, and the rows of its metrics."""
+
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from mapg_jax.runs.checkpoints import Checkpoints
+from mapg_jax.training.evaluation import Episodes, summarize
+from mapg_jax.training.loop import Loop, Totals
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.metrics import MetricsFile, cut_metrics
+
+DIVERGED = "a loss or parameter is no longer finite"
+
+
+class DivergedError(ArithmeticError):
+    """A loss or a parameter is no longer finite; the message begins with DIVERGED."""
+
+
+class Member:
+    """A run alone, or one of several in lockstep."""
+
+    def __init__(self, folder: RunFolder):
+        self.folder, self.config = folder, folder.config
+        self.checkpoints = Checkpoints(folder.checkpoints, folder.config.checkpoints_kept)
+        self.seconds_before = 0.0  # of earlier processes
+        self.failure: DivergedError | None = None
+
+    def load(self, shapes: Any) -> Any:
+        """The state of the newest checkpoint."""
+        if not self.checkpoints.can_go_on():
+            raise ValueError(
+                f"{self.folder.path} finished without keeping its replay, so that it cannot be "
+                "trained further; train it anew, or sweep with --keep-replay"
+            )
+        state, host = self.checkpoints.load(shapes)
+        self.seconds_before = host["seconds"]
+        return state
+
+    def save(self, state: Any, seconds: float) -> None:
+        """A checkpoint of a plain state, `seconds` into this process's part of the run."""
+        self.checkpoints.save(state, {"seconds": self.seconds_before + seconds})
+
+    def metrics_file(self, env_steps: int) -> MetricsFile:
+        """metrics.csv, cut back to `env_steps`; the score is of an earlier policy and goes."""
+        cut_metrics(self.folder.metrics, env_steps)
+        self.folder.evaluation.unlink(missing_ok=True)
+        return MetricsFile(self.folder.metrics, env_steps)
+
+    def check_finite(self, learner: Any, diverged_at: int, env_steps: int) -> None:
+        """Notes a failure if a loss was not finite at a step, or a parameter is not."""
+        at = diverged_at
+        if at < 0 and not all(np.isfinite(x).all() for x in jax.tree.leaves(learner)):
+            at = env_steps
+        if at >= 0:
+            newest = self.checkpoints.newest()
+            kept = f"the checkpoint at step {newest:,} stays" if newest else "no checkpoint was due"
+            self.failure = DivergedError(f"{DIVERGED} at step {at:,}; {kept}")
+
+    def row(
+        self,
+        trainer: Loop,
+        counters: tuple[Any, Any, Totals],
+        played: Episodes,
+        turns_per_second: float,
+        seconds: float,
+    ) -> dict[str, int | float]:
+        """One row of metrics.csv; docs/metrics.md defines the columns.
+
+        Args:
+          trainer: of the run.
+          counters: environment steps, updates and totals.
+          played: the episodes of the evaluation.
+          turns_per_second: since the last row.
+          seconds: of this process.
+        """
+        env_steps, all_updates, totals = counters
+        summary = summarize(played.returns)
+        totals = jax.tree.map(float, totals)
+        updates, episodes = totals.updates or math.nan, totals.episodes or math.nan
+        return {
+            "env_steps": int(env_steps),
+            "updates": int(all_updates),
+            "return_mean": summary.mean,
+            "return_std": summary.std,
+            "episodes": summary.episodes,
+            "episode_length": float(jnp.mean(played.lengths)),
+            "training_return": totals.episode_return / episodes,
+            "training_episode_length": totals.episode_length / episodes,
+            "training_episodes": int(totals.episodes),
+            **{k: v / updates for k, v in totals.update_metrics._asdict().items()},
+            **{k: float(v) for k, v in played.heads._asdict().items()},
+            "steps_per_second": turns_per_second * trainer.steps_per_turn,
+            "updates_per_second": turns_per_second
+            * float(trainer.updates_ratio * trainer.steps_per_turn),
+            "seconds": self.seconds_before + seconds,
+        }

@@ -1,0 +1,130 @@
+"""A run's score: a saved policy over E episodes, on our physics or in Gymnasium itself."""
+
+import functools
+import math
+import os
+from typing import Any, Literal
+
+import gymnasium
+import jax
+import numpy as np
+
+import envs
+from mapg_jax.algorithms import heads
+from mapg_jax.runs.checkpoints import Checkpoints
+from mapg_jax.training.evaluation import play, summarize
+from mapg_jax.runs.policy import Policy, load_policy
+from mapg_jax.runs.folder import RunFolder, write_json
+
+Physics = Literal["auto", "native", "mjx", "jax", "gymnasium"]
+"""What an evaluation runs on: `auto` is what the run's `engine` means on this machine,
+`gymnasium` the official task."""
+
+
+def evaluate(
+    folder: RunFolder | str | os.PathLike,
+    episodes: int = 100,
+    physics: Physics = "auto",
+    select: heads.Select = "uniform",
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Scores the newest checkpoint, and writes the result to the run's evaluation.json.
+
+    See `score`.
+    """
+    if not isinstance(folder, RunFolder):
+        folder = RunFolder.open(folder)
+    record = score(folder, episodes, physics, select, seed)
+    write_json(folder.evaluation, record)
+    return record
+
+
+def score(
+    folder: RunFolder,
+    episodes: int = 100,
+    physics: Physics = "auto",
+    select: heads.Select = "uniform",
+    seed: int = 0,
+) -> dict[str, Any]:
+    """The score of the newest checkpoint, as docs/metrics.md describes evaluation.json.
+
+    Args:
+      folder: of the run.
+      episodes: E starts, one episode each.
+      physics: what to run on.
+      select: how one action is made of the M proposals.
+      seed: of starts and heads.
+
+    Raises:
+      ValueError: if the run has no checkpoint, or the environment lacks that physics.
+    """
+    if episodes < 1:
+        raise ValueError(f"episodes must be at least 1, got {episodes}")
+    env_steps = Checkpoints(folder.checkpoints).newest()
+    policy = load_policy(folder.path, seed, select)
+    play_in = _in_gymnasium if physics == "gymnasium" else _in_jax
+    physics, returns, lengths, extra = play_in(folder, policy, episodes, physics, select, seed)
+    summary = summarize(returns)
+    return {
+        "env": folder.config.env,
+        "env_steps": env_steps,
+        "physics": physics,
+        "select": select,
+        "episodes": summary.episodes,
+        "seed": seed,
+        "mean": summary.mean,
+        "std": summary.std,
+        "ci95": list(summary.ci95),
+        "returns": [float(x) for x in returns],
+        "lengths": [int(x) for x in lengths],
+        **extra,
+    }
+
+
+def _in_jax(folder, policy: Policy, episodes, physics, select, seed):
+    env = folder.config.make_env(None if physics == "auto" else physics)
+    played = jax.jit(
+        functools.partial(
+            play,
+            env,
+            policy.agent,
+            episodes=episodes,
+            time_limit=folder.config.episode_steps(),
+            select=select,
+        )
+    )(policy.state, jax.random.key(seed))
+    extra: dict[str, Any] = {
+        k: float(v) if math.isfinite(v) else None for k, v in played.heads._asdict().items()
+    }
+    scored = {k: np.asarray(played.metrics[k]).tolist() for k in env.scored_metrics}
+    if scored:
+        extra["metrics"] = scored
+    return env.backend, np.asarray(played.returns), np.asarray(played.lengths), extra
+
+
+def _in_gymnasium(folder, policy: Policy, episodes, physics, select, seed):
+    config = folder.config
+    env_id = envs.spec(config.env).gymnasium_id
+    if env_id is None:
+        raise ValueError(f"{config.env} equals no Gymnasium task; choose another --physics")
+    options = config.parsed_env_options()
+    try:
+        starts = [
+            gymnasium.make(env_id, max_episode_steps=config.episode_steps(), **options)
+            for _ in range(episodes)
+        ]
+    except TypeError as error:
+        raise ValueError(f"{env_id} does not take all of this run's options: {error}") from None
+    observations = np.stack([env.reset(seed=seed + i)[0] for i, env in enumerate(starts)])
+    returns, lengths = np.zeros(episodes), np.zeros(episodes, int)
+    alive = np.ones(episodes, bool)
+    while alive.any():
+        actions = policy(observations)  # of all, so that one program serves every step
+        for i in np.flatnonzero(alive):
+            observations[i], reward, terminated, truncated, _ = starts[i].step(actions[i])
+            returns[i] += reward
+            lengths[i] += 1
+            alive[i] = not (terminated or truncated)
+    for env in starts:
+        env.close()
+    return "gymnasium", returns, lengths, {}

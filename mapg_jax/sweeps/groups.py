@@ -1,0 +1,156 @@
+"""Which runs go together as one program, and what they need of memory and disk."""
+
+import dataclasses
+import functools
+import math
+import os
+import pathlib
+import shutil
+from collections.abc import Hashable, Sequence
+from typing import Literal, NamedTuple
+
+import jax
+
+from envs.engines.simulators import cpus
+from mapg_jax.runs.checkpoints import Checkpoints
+from mapg_jax.runs.runner import available_bytes
+from mapg_jax.training.config import Config
+from mapg_jax.training.lockstep import program_key
+from mapg_jax.training.loop import Loop, state_bytes
+from mapg_jax.training.trainer import make_trainer
+
+Grouping = Literal["auto", "one", "all"] | int
+"""How many runs a program has: what pays, one, as many as can, or so many at most."""
+PROCESS_BYTES = 1_000_000_000  # Python, JAX, MuJoCo and compiled programs, beside the state
+
+
+SHARE = 0.5
+"""Of an accelerator's memory for training states: resuming holds them twice for a moment."""
+
+
+class Job(NamedTuple):
+    """A run to be done: its configuration and its folder."""
+
+    config: Config
+    path: pathlib.Path
+
+
+Group = tuple[Job, ...]
+"""Runs that go in lockstep."""
+
+
+def groups(jobs: Sequence[Job], grouping: Grouping = "auto") -> list[Group]:
+    """Cuts runs into groups, in their order.
+
+    `auto` is one run a program on a CPU, where lockstep gains nothing, and as many as half of the
+    memory holds on an accelerator.
+
+    Raises:
+      ValueError: if the grouping is none.
+    """
+    if isinstance(grouping, int) and grouping < 1:
+        raise ValueError(f"group must be auto, one, all or at least 1, got {grouping}")
+    alike: dict[Hashable, list[Job]] = {}
+    for job in jobs:
+        key = program_key(job.config), _newest(job.path)  # lockstep needs equal steps
+        alike.setdefault(key, []).append(job)
+    cut = []
+    for together in alike.values():
+        size = _size(together, grouping)
+        cut += [tuple(together[i : i + size]) for i in range(0, len(together), size)]
+    position = {job: i for i, job in enumerate(jobs)}
+    return sorted(cut, key=lambda group: position[group[0]])
+
+
+def group_bytes(group: Group) -> int:
+    """Memory of the training state of a group."""
+    return len(group) * _run_bytes(_largest(group))
+
+
+def workers_that_fit(cut: Sequence[Group], wanted: int | None = None) -> int:
+    """How many processes to use: one a core, and on an accelerator one, if the memory allows.
+
+    Raises:
+      ValueError: if not even one fits, or not as many as wanted.
+    """
+    if wanted is not None and wanted < 1:
+        raise ValueError(f"workers must be at least 1, got {wanted}")
+    on_cpu = jax.default_backend() == "cpu"
+    largest = max(map(group_bytes, cut), default=0)
+    each = largest + (PROCESS_BYTES if on_cpu else 0)
+    fitting = available_bytes() // each if each else 1
+    workers = min(wanted or (cpus() if on_cpu else 1), len(cut) or 1)
+    if fitting < (workers if wanted else 1):
+        raise ValueError(
+            f"{wanted or 1} at a time, each of {each / 1e9:.1f} GB, do not fit the "
+            f"{available_bytes() / 1e9:.1f} GB that are available; choose fewer --workers, a "
+            "smaller --group or a smaller --replay-size"
+        )
+    return min(workers, fitting)
+
+
+def disk_bytes(cut: Sequence[Group], workers: int, keep_replay: bool) -> int:
+    """The most that checkpoints can take: all those kept, and one being written, uncompressed."""
+    running = finished = 0
+    for group in cut:
+        kept = group[0].config.checkpoints_kept
+        running = max(running, (kept + 1) * group_bytes(group))
+        each = _run_bytes if keep_replay else _agent_bytes
+        finished += kept * len(group) * each(_largest(group))
+    return workers * running + finished
+
+
+def refuse_a_full_disk(cut: Sequence[Group], workers: int, keep_replay: bool) -> None:
+    """Raises ValueError if the checkpoints might not fit."""
+    for out in {job.path.parent for group in cut for job in group}:
+        needed = disk_bytes(cut, workers, keep_replay)
+        free = free_bytes(out) + sum(_checkpoint_bytes(job.path) for group in cut for job in group)
+        if needed > free:
+            raise ValueError(
+                f"the checkpoints can take {needed / 1e9:.1f} GB, but the disk of {out} has "
+                f"{free / 1e9:.1f} GB left; choose fewer --workers or a smaller --replay-size"
+            )
+
+
+def _checkpoint_bytes(path: pathlib.Path) -> int:
+    """What the checkpoints of a run that was cut off take already: newer ones replace them."""
+    files = (path / "checkpoints").rglob("*")
+    return sum(file.stat().st_size for file in files if file.is_file())
+
+
+def free_bytes(path: pathlib.Path) -> int:
+    """Free space of the disk that a path, which need not exist, is or would be on."""
+    path = path.absolute()
+    while not path.exists():
+        path = path.parent
+    return shutil.disk_usage(os.fspath(path)).free
+
+
+def _size(alike: Sequence[Job], grouping: Grouping) -> int:
+    if isinstance(grouping, int):
+        return grouping
+    if grouping == "auto" and jax.default_backend() != "cpu":
+        return max(1, int(SHARE * available_bytes()) // _run_bytes(_largest(alike)))
+    return len(alike) if grouping == "all" else 1
+
+
+def _newest(path: pathlib.Path) -> int | None:
+    return Checkpoints(path / "checkpoints").newest() if path.exists() else None
+
+
+def _largest(jobs: Sequence[Job]) -> Config:
+    return max((job.config for job in jobs), key=lambda config: config.heads)
+
+
+@functools.cache
+def _trainer(config: Config) -> Loop:
+    return make_trainer(config)
+
+
+def _run_bytes(config: Config) -> int:
+    return state_bytes(_trainer(dataclasses.replace(config, seed=0)))
+
+
+def _agent_bytes(config: Config) -> int:
+    leaves = jax.tree.leaves(_trainer(dataclasses.replace(config, seed=0)).shapes.agent)
+    return sum(math.prod(x.shape) * x.dtype.itemsize for x in leaves)

@@ -1,0 +1,182 @@
+"""A sweep: many runs, a few at a time, each in its own folder; what is finished stays finished."""
+
+import dataclasses
+import pathlib
+import time
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from mapg_jax.runs.finishing import is_finished
+from mapg_jax.runs.folder import RunFolder, is_blank
+from mapg_jax.runs.signals import StoppedError, caught_signals
+from mapg_jax.sweeps.groups import (
+    Group,
+    Grouping,
+    Job,
+    groups,
+    refuse_a_full_disk,
+    workers_that_fit,
+)
+from mapg_jax.sweeps.pool import Worker, leave_the_memory_to_workers, own_cores, shares
+from mapg_jax.sweeps.table import SweepTable
+from mapg_jax.training.config import Config
+
+POLL_SECONDS = 0.5
+
+
+class Plan(NamedTuple):
+    """What a sweep will do."""
+
+    groups: list[Group]
+    workers: int
+    keep_replay: bool
+
+
+def make_plan(
+    runs: Sequence[tuple[Config, pathlib.Path]],
+    *,
+    workers: int | None = None,
+    group: Grouping = "auto",
+    keep_replay: bool = False,
+) -> Plan:
+    """What is missing, in groups, and how many processes will do it.
+
+    Args:
+      runs: configurations and folders.
+      workers: processes side by side; by default as many as cores and memory allow.
+      group: how many runs share a program, see `grouping.Grouping`.
+      keep_replay: whether finished runs can be trained further.
+
+    Raises:
+      ValueError: if a folder holds another run, or memory or disk do not suffice.
+    """
+    leave_the_memory_to_workers()
+    jobs = [job for job in unique_jobs(runs) if not _finished(job)]
+    waiting = groups(jobs, group)
+    count = workers_that_fit(waiting, workers)
+    refuse_a_full_disk(waiting, count, keep_replay)
+    return Plan(waiting, count, keep_replay)
+
+
+def carry_out(
+    plan: Plan, on_finished: Callable[[RunFolder], None] | None = None, progress: bool = True
+) -> list[str]:
+    """Starts what is missing and goes on with what was cut off, in order.
+
+    Args:
+      plan: what is missing.
+      on_finished: called with the folder of each run that finishes, in this process.
+      progress: whether to show it on standard error.
+
+    Returns:
+      A line for each run that failed; none of them stops the others.
+
+    Raises:
+      StoppedError: on SIGINT or SIGTERM, once all workers have saved their state.
+    """
+    pool = _Pool(plan)
+    with caught_signals() as signals, SweepTable(plan.groups, plan.workers, progress) as table:
+        try:
+            while pool.busy() and not signals:
+                for worker in pool.start():
+                    table.started(worker.folders)
+                for worker in pool.ended():
+                    failures = worker.failures()
+                    for folder in worker.folders:
+                        failure = failures.get(folder.path)
+                        if failure and worker.crashed() and len(worker.group) > 1:
+                            pool.add(Job(folder.config, folder.path))
+                            table.retried(folder, failure)
+                            continue
+                        table.ended(folder, failure)
+                        if not failure and on_finished:
+                            on_finished(folder)
+                table.update()
+                time.sleep(POLL_SECONDS)
+        finally:
+            pool.stop()
+    if signals:
+        raise StoppedError(signals[0], "the same command")
+    return table.failures
+
+
+def run_all(
+    runs: Sequence[tuple[Config, pathlib.Path]],
+    *,
+    workers: int | None = None,
+    group: Grouping = "auto",
+    keep_replay: bool = False,
+    on_finished: Callable[[RunFolder], None] | None = None,
+    progress: bool = True,
+) -> list[str]:
+    """Carries out the plan of some runs; see `make_plan` and `carry_out`."""
+    plan = make_plan(runs, workers=workers, group=group, keep_replay=keep_replay)
+    return carry_out(plan, on_finished, progress)
+
+
+class _Pool:
+    """Groups that wait, and the workers that do them."""
+
+    def __init__(self, plan: Plan):
+        self._waiting = list(plan.groups)
+        self._free = shares(own_cores(), plan.workers)
+        self._workers: list[Worker] = []
+        self._keep_replay = plan.keep_replay
+
+    def busy(self) -> bool:
+        return bool(self._waiting or self._workers)
+
+    def start(self) -> list[Worker]:
+        """As many as there are free shares of the cores."""
+        begun = []
+        while self._waiting and self._free:
+            begun.append(Worker(self._waiting.pop(0), self._free.pop(0), self._keep_replay))
+        self._workers += begun
+        return begun
+
+    def ended(self) -> list[Worker]:
+        """Those that have ended since; their shares are free."""
+        ended = [worker for worker in self._workers if not worker.running()]
+        for worker in ended:
+            worker.wait()
+            self._workers.remove(worker)
+            self._free.append(list(worker.cores))
+        return ended
+
+    def add(self, job: Job) -> None:
+        """A run of a group that crashed is tried by itself, since another may be at fault."""
+        self._waiting.append((job,))
+
+    def stop(self) -> None:
+        """All workers save and end."""
+        for worker in self._workers:
+            worker.stop()
+        for worker in self._workers:
+            worker.wait()
+
+
+def unique_jobs(runs: Sequence[tuple[Config, pathlib.Path]]) -> list[Job]:
+    """The runs, each folder once.
+
+    Raises:
+      ValueError: if one folder is meant for two runs, or holds another run.
+    """
+    jobs: dict[pathlib.Path, Job] = {}
+    for config, path in runs:
+        job = jobs.setdefault(pathlib.Path(path), Job(config, pathlib.Path(path)))
+        if job.config != config:
+            raise ValueError(f"two runs are to be written into {path}")
+    return [job if is_blank(job.path) else _begun(job) for job in jobs.values()]
+
+
+def _begun(job: Job) -> Job:
+    """The job as its folder has it: a run of it can have been given more steps since."""
+    there = RunFolder.open(job.path).config
+    longer = dataclasses.replace(job.config, steps=max(there.steps, job.config.steps))
+    if there != longer:
+        raise ValueError(f"{job.path} holds a run of another configuration")
+    return Job(there, job.path)
+
+
+def _finished(job: Job) -> bool:
+    return not is_blank(job.path) and is_finished(RunFolder.open(job.path))

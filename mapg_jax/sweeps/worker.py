@@ -1,0 +1,61 @@
+"""python -m mapg_jax.sweeps.worker FOLDER…: one process of a sweep, which does one group of runs.
+
+What became of a run stands in its folder: evaluation.json where it finished, failure.txt where not.
+"""
+
+import argparse
+import contextlib
+import os
+import pathlib
+import signal
+import sys
+import threading
+from collections.abc import Sequence
+
+from mapg_jax.runs.finishing import finish
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.member import DivergedError
+from mapg_jax.runs.runner import Run, prepare
+from mapg_jax.runs.signals import StoppedError
+
+
+def failure_file(path: pathlib.Path) -> pathlib.Path:
+    """Where it is written why a run failed."""
+    return path / "failure.txt"
+
+
+def work(folders: Sequence[RunFolder], keep_replay: bool) -> None:
+    """Takes a group to its end; a run of it that fails does not stop the others."""
+    run = Run(prepare(*(folder.config for folder in folders)), folders)
+    run.restore()
+    if not run.finished:
+        with contextlib.suppress(DivergedError):  # of the last one left; each member has its own
+            run.go()
+    for member in run.members:
+        if member.failure is None:
+            finish(member.folder, keep_replay)
+        else:
+            failure_file(member.folder.path).write_text(f"{member.failure}\n")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--keep-replay", action="store_true")
+    parser.add_argument("folders", nargs="+")
+    arguments = parser.parse_args()
+    threading.Thread(target=_stop_with_the_parent, daemon=True).start()
+    try:
+        work([RunFolder.open(path) for path in arguments.folders], arguments.keep_replay)
+    except StoppedError as stopped:
+        sys.exit(128 + stopped.number)
+
+
+def _stop_with_the_parent() -> None:
+    """Standard input is a pipe that the parent never writes to: it ends where the parent does."""
+    while os.read(0, 1):  # not sys.stdin, whose lock would abort an exit while this waits
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,147 @@
+"""Runs in lockstep: K runs as one compiled program, M and all other numbers traced under `vmap`.
+
+Actors are padded to the largest M; heads past a run's own are never drawn, averaged or updated. A
+run alone is the plain program, without an axis in front and without padding.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from mapg_jax.training.agent import hyperparameters
+from mapg_jax.training.config import Config
+from mapg_jax.training.evaluation import play
+from mapg_jax.training.loop import Loop, run_keys, state_bytes
+from mapg_jax.training.trainer import make_trainer
+
+TRACED = frozenset({
+    "seed", "heads", "noise_scale", "noise_scale_last", "discount", "tau", "critic_l2",
+    "actor_learning_rate", "critic_learning_rate", "a3c_actor_learning_rate",
+    "a3c_critic_learning_rate", "a3c_entropy_weight",
+})  # fmt: skip
+"""The fields of a configuration in which runs of one program may differ."""
+
+
+def program_key(config: Config) -> tuple:
+    """All other fields: runs whose keys are equal can go in lockstep."""
+    values = ((f.name, getattr(config, f.name)) for f in dataclasses.fields(config))
+    return tuple(value for name, value in values if name not in TRACED)
+
+
+class Lockstep:
+    """The static part of K runs, and their compiled functions.
+
+    States have leaves [K, ...], or those of a plain run where K = 1.
+    """
+
+    def __init__(self, configs: Sequence[Config]):
+        if len({program_key(config) for config in configs}) != 1:
+            raise ValueError("runs in lockstep may differ in traced numbers alone")
+        self.configs = tuple(configs)
+        self.alone = len(configs) == 1
+        largest = max(configs, key=lambda config: config.heads)
+        if not self.alone:  # the same program for other numbers: a compiled one is used again
+            numbers = {name: getattr(Config(), name) for name in TRACED - {"heads"}}
+            largest = dataclasses.replace(largest, **numbers)
+        self.trainer: Loop = make_trainer(largest)
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the state."""
+        return state_bytes(self.trainer) * len(self.configs)
+
+    def init(self) -> Any:
+        """The state before the first step."""
+        if self.alone:
+            return self.trainer.jitted_init(self.configs[0].seed)
+        state = jax.jit(jax.vmap(self.trainer.init))(self._seeds)
+        hyper = _stack([hyperparameters(config) for config in self.configs])
+        return state.replace(agent=state.agent.replace(hyper=hyper))
+
+    @functools.cached_property
+    def jitted_run(self):
+        """(state, turns) → state; the state is donated."""
+        if self.alone:
+            return self.trainer.jitted_run
+        return jax.jit(jax.vmap(self.trainer.run, in_axes=(0, None)), donate_argnums=0)
+
+    @functools.cached_property
+    def jitted_evaluation(self):
+        """(agents, keys) → episodes; see `evaluation_keys`."""
+        evaluate = functools.partial(
+            play,
+            self.trainer.env.env,
+            self.trainer.agent,
+            episodes=self.trainer.config.evaluation_episodes,
+            time_limit=self.trainer.env.time_limit,
+            select="uniform",
+        )
+        return jax.jit(evaluate if self.alone else jax.vmap(evaluate))
+
+    def evaluation_keys(self, env_steps: int) -> jax.Array:
+        """Each run's key of an evaluation: it depends on its seed and the step alone."""
+
+        def key(seed):
+            return jax.random.fold_in(run_keys(seed).evaluation, env_steps)
+
+        return key(self.configs[0].seed) if self.alone else jax.vmap(key)(self._seeds)
+
+    def of_run(self, tree: Any, k: int) -> Any:
+        """The k-th run's part of any tree of this program."""
+        return tree if self.alone else jax.tree.map(lambda x: x[k], tree)
+
+    def plain_state(self, state: Any, k: int) -> Any:
+        """The k-th run's state as the run alone has it, without padding."""
+        if self.alone:
+            return state
+
+        def cut(leaf, shape):
+            return _as_dtype(leaf[tuple(map(slice, shape.shape))], shape.dtype)
+
+        return jax.tree.map(cut, self.of_run(state, k), self.plain_shapes(k))
+
+    def plain_shapes(self, k: int) -> Any:
+        """Shapes of the k-th run's state alone."""
+        return self._plain_shapes[self.configs[k].heads]
+
+    def join(self, states: Sequence[Any]) -> Any:
+        """The state of all runs from those of each alone; heads that are padding are zeros."""
+        if self.alone:
+            return states[0]
+
+        def pad(leaf, shape):
+            return _as_dtype(_padded(leaf, shape.shape), shape.dtype)
+
+        return _stack([jax.tree.map(pad, state, self.trainer.shapes) for state in states])
+
+    @functools.cached_property
+    def _seeds(self) -> jax.Array:
+        return jnp.asarray([config.seed for config in self.configs], jnp.int32)
+
+    @functools.cached_property
+    def _plain_shapes(self) -> dict[int, Any]:
+        """By number of heads."""
+        heads = {config.heads for config in self.configs} - {self.trainer.config.heads}
+        others = {m: dataclasses.replace(self.trainer.config, heads=m) for m in heads}
+        shapes = {m: make_trainer(config).shapes for m, config in others.items()}
+        return {**shapes, self.trainer.config.heads: self.trainer.shapes}
+
+
+def _stack(trees: Sequence[Any]) -> Any:
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
+
+
+def _as_dtype(leaf: Any, dtype: Any) -> Any:
+    """Heads are stored in a byte or not, by the largest M of the program."""
+    return leaf if leaf.dtype == dtype else leaf.astype(dtype)
+
+
+def _padded(leaf: Any, shape: Sequence[int]) -> Any:
+    """The array in the first corner of one of zeros."""
+    if leaf.shape == tuple(shape):
+        return leaf
+    return jnp.pad(leaf, [(0, n - m) for n, m in zip(shape, leaf.shape, strict=True)])
