@@ -58,7 +58,7 @@ def play(policy: Policy, config: Config) -> tuple[np.ndarray, np.ndarray]:
     offset = jax.random.uniform(start_key, (STARTS,), minval=-START, maxval=START)
 
     def step(env_state, t):
-        proposals = agent.proposals(state, env_state.obs)
+        proposals, _ = agent.proposals(state, env_state.obs)
         head = heads.draw(jax.random.fold_in(head_key, t), state.hyper.heads, (STARTS,))
         cosine, sine, _ = env_state.obs.T
         angle = jnp.rad2deg(jnp.arctan2(-sine, -cosine))  # the paper's: Gymnasium's less 180°

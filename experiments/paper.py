@@ -7,7 +7,7 @@ from typing import NamedTuple, TextIO
 from experiments import curves, overhead, page, rows, scores
 from experiments.catalogue import TITLES, Name, experiment, runs
 from experiments.plan import Plan
-from mapg_jax.reports.results import UnfinishedError, algorithm, settings, versions
+from mapg_jax.reports.results import UnfinishedError, settings, versions
 from mapg_jax.runs.folder import RunFolder, is_blank, this_process
 from mapg_jax.runs.locking import lock
 from mapg_jax.runs.member import DIVERGED
@@ -88,7 +88,7 @@ def refuse_other_protocols(plan: Plan) -> None:
     planned = runs(plan, list(TITLES))
     steps: dict[tuple, set[int]] = {}
     for config in planned:
-        arm = config.env, algorithm(config), config.heads
+        arm = config.env, config.slug, config.heads
         steps.setdefault(arm, {plan.base.steps}).add(config.steps)
     known = {settings(config) for config in planned}
     found = scores.read_csv(scores.path(plan))

@@ -5,8 +5,7 @@ import pathlib
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-from mapg_jax.reports.results import algorithm
-from mapg_jax.training.config import PRESETS, Config, Preset
+from mapg_jax.training.config import Config, Preset, preset
 
 TASKS = ("hopper", "walker2d", "humanoid", "halfcheetah", "swimmer")
 HEADS = (5, 10, 20, 50)
@@ -19,6 +18,8 @@ DRIVING: Mapping[str, Any] = {
     "env_options": ("control_hz=10", "start=anywhere"),
     "time_limit": 2_000,
 }
+SHARED = ("steps", "evaluate_every", "checkpoints_kept")
+"""What all runs of a plan have of its base, whatever their algorithm is."""
 EVALUATIONS = {"paper": 40, "smoke": 10}
 """In training; whole episodes of 1,000 steps, so that many of them would be most of a smoke run."""
 TIMING = {"paper": (9, 1.0), "smoke": (3, 0.1)}
@@ -36,7 +37,7 @@ class Plan(NamedTuple):
     """What all runs of an invocation share, how many there are, and where they go."""
 
     base: Config
-    """Preset, steps and cadence of evaluation."""
+    """MAPG by the preset, with the steps and the cadence of evaluation that all runs share."""
     seeds: int
     runs: pathlib.Path
     """Run folders; not committed."""
@@ -49,6 +50,7 @@ class Plan(NamedTuple):
     studied: tuple[str, ...] = ("pendulum", "halfcheetah")
     """Tasks on which noise and the rules of the heads are compared."""
     timing: tuple[int, float] = TIMING["paper"]
+    preset: Preset = "paper"
     flags: str = ""
     """Of the command, beside the seeds."""
 
@@ -59,7 +61,8 @@ class Plan(NamedTuple):
 
     def config(self, env: str, seed: int = 0, **changes) -> Config:
         """One run."""
-        return dataclasses.replace(self.base, env=env, seed=seed, **changes)
+        shared = {name: getattr(self.base, name) for name in SHARED}
+        return preset(self.preset, **{**shared, "env": env, "seed": seed, **changes})
 
     def arms(self) -> dict[str, Mapping[str, Any]]:
         """The columns of Table 2, by their names."""
@@ -75,27 +78,28 @@ class Plan(NamedTuple):
 
 
 def make_plan(
-    preset: Preset, steps: int | None, seeds: int, runs: pathlib.Path, results: pathlib.Path
+    name: Preset, steps: int | None, seeds: int, runs: pathlib.Path, results: pathlib.Path
 ) -> Plan:
     """The plan of a preset, its steps unless others are given.
 
     Raises:
       ValueError: if the steps cannot be met exactly by every algorithm.
     """
-    base = PRESETS[preset]
-    flags = "" if preset == "paper" else f" --preset {preset}"
+    base: Any = preset(name)
+    flags = "" if name == "paper" else f" --preset {name}"
     if steps not in (None, base.steps):
         base, flags = dataclasses.replace(base, steps=steps), f"{flags} --steps {steps}"
-    turn = base.environments * base.a3c_rollout_steps
+    a3c: Any = preset(name, "a3c")
+    turn = a3c.environments * a3c.rollout_steps
     if base.steps % turn:
         nearest = max(1, round(base.steps / turn)) * turn
         raise ValueError(
             f"steps must be a multiple of {turn}, {base.environments} environments times "
-            f"A3C's rollouts of {base.a3c_rollout_steps}; got {base.steps}, and {nearest} is near"
+            f"A3C's rollouts of {a3c.rollout_steps}; got {base.steps}, and {nearest} is near"
         )
-    every = max(1, base.steps // EVALUATIONS[preset])
+    every = max(1, base.steps // EVALUATIONS[name])
     base = dataclasses.replace(base, evaluate_every=every, checkpoints_kept=1)
-    return Plan(base, seeds, runs, results, timing=TIMING[preset], flags=flags)
+    return Plan(base, seeds, runs, results, timing=TIMING[name], preset=name, flags=flags)
 
 
 def is_the_papers(plan: Plan) -> bool:
@@ -105,9 +109,9 @@ def is_the_papers(plan: Plan) -> bool:
 
 def name(config: Config, base: Config) -> str:
     """The folder of a run, by what sets it apart: `hopper-ddpg-m1-s0`."""
-    parts = [config.env, algorithm(config), f"m{config.heads}"]
+    parts = [config.env, config.slug, f"m{config.heads}"]
     for field in ("steps", "noise", "gradient", "target"):
-        if getattr(config, field) != getattr(base, field):
+        if getattr(config, field, None) not in (None, getattr(base, field)):
             parts.append(str(getattr(config, field)))
     return "-".join([*parts, f"s{config.seed}"])
 
@@ -117,7 +121,7 @@ def in_order(plan: Plan, wanted: Iterable[Config]) -> list[Config]:
 
     def rank(config: Config):
         first = config.seed == 0
-        core = _is_core(config, plan.base) and (config.noise == plan.base.noise or not first)
+        core = _is_core(config, plan.base) and (_has(config, plan.base, "noise") or not first)
         # Seed 0 of the core, the rest of seed 0, the core seed by seed, the rest seed by seed.
         stage = (0 if core else 1) if first else (2 if core else 3)
         slow = config.env == "humanoid"  # four times as long: two turns after the others
@@ -129,5 +133,11 @@ def in_order(plan: Plan, wanted: Iterable[Config]) -> list[Config]:
 
 def _is_core(config: Config, base: Config) -> bool:
     """DDPG and M = 10, of Table 2, driving and Figure 4."""
-    rules = (config.gradient, config.target) == (base.gradient, base.target)
-    return config.algorithm == "mapg" and config.heads in (1, 10) and rules
+    return config.heads in (1, 10) and _has(config, base, "gradient", "target")
+
+
+def _has(config: Config, base: Config, *names: str) -> bool:
+    """Whether a run of MAPG has those options of the base."""
+    return config.algorithm == base.algorithm and all(
+        getattr(config, name) == getattr(base, name) for name in names
+    )

@@ -5,7 +5,7 @@ import pathlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from mapg_jax.reports.results import Result, algorithm, settings
+from mapg_jax.reports.results import Result, settings
 from mapg_jax.training.config import Config
 
 Row = Mapping[str, Any]
@@ -18,7 +18,7 @@ def identity(config: Config) -> dict[str, str]:
     """COLUMNS of a run; text, as a CSV file gives it back."""
     return {
         "env": config.env,
-        "algorithm": algorithm(config),
+        "algorithm": config.slug,
         "heads": str(config.heads),
         "seed": str(config.seed),
         "steps": str(config.steps),

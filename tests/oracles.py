@@ -9,14 +9,14 @@ import pathlib
 import jax
 import jax.numpy as jnp
 import numpy as np
+from mapg_jax.runs.runner import start
+from mapg_jax.training.a3c_training import A3cTrainer
 
 from envs.base import Env, State, with_episodes
 from mapg_jax.algorithms.mapg import Transition, UpdateMetrics
 from mapg_jax.reports.results import Result
 from mapg_jax.runs.checkpoints import Checkpoints
 from mapg_jax.runs.folder import RunFolder, write_json
-from mapg_jax.runs.runner import start
-from mapg_jax.training.a3c_training import A3cTrainer
 from mapg_jax.training.agent import MapgAgent, make_agent
 from mapg_jax.training.config import Config
 from mapg_jax.training.trainer import Trainer, TrainState

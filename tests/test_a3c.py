@@ -9,6 +9,7 @@ import numpy as np
 import oracles
 import pytest
 import scipy.stats
+from mapg_jax.runs.runner import resume
 from test_runner import assert_same_run, copy
 
 import mapg_jax
@@ -19,7 +20,6 @@ from mapg_jax.algorithms.descent import adam
 from mapg_jax.algorithms.networks import VARIANCE_FLOOR
 from mapg_jax.runs.member import DivergedError
 from mapg_jax.runs.metrics import read_metrics
-from mapg_jax.runs.runner import resume
 from mapg_jax.training.config import Config
 from mapg_jax.training.evaluation import play
 from mapg_jax.training.trainer import make_trainer

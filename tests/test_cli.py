@@ -9,12 +9,12 @@ import sys
 import jax
 import oracles
 import pytest
+from mapg_jax.runs.recording import record
 
 import envs
 from mapg_jax.cli.main import main as cli
 from mapg_jax.runs import recording, runner
 from mapg_jax.runs.folder import RunFolder
-from mapg_jax.runs.recording import record
 from mapg_jax.training.config import Config
 
 TINY = (

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 import oracles
 import pytest
+from mapg_jax.runs.runner import Run
 
 from mapg_jax.runs import runner
 from mapg_jax.runs.checkpoints import Checkpoints
@@ -15,9 +16,8 @@ from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.member import DivergedError
 from mapg_jax.runs.metrics import read_metrics
 from mapg_jax.runs.policy import load_policy
-from mapg_jax.runs.runner import Run
-from mapg_jax.training.config import Config
 from mapg_jax.training import lockstep
+from mapg_jax.training.config import Config
 from mapg_jax.training.trainer import make_trainer
 
 CELLS = [

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import oracles
 import pytest
+from mapg_jax.runs.runner import resume, start
 
 import mapg_jax
 from mapg_jax.runs import runner, signals
@@ -21,7 +22,6 @@ from mapg_jax.runs.checkpoints import Checkpoints
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.member import DivergedError
 from mapg_jax.runs.metrics import Progress, read_metrics
-from mapg_jax.runs.runner import resume, start
 from mapg_jax.runs.signals import StoppedError
 from mapg_jax.training.config import PRESETS
 from mapg_jax.training.trainer import make_trainer

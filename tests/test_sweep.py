@@ -13,8 +13,8 @@ from typing import ClassVar
 import oracles
 import pytest
 
-from mapg_jax.cli.main import main as cli
 from mapg_jax.cli import sweep as sweep_command
+from mapg_jax.cli.main import main as cli
 from mapg_jax.runs.finishing import is_finished
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.metrics import read_metrics

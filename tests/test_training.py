@@ -10,11 +10,11 @@ import numpy as np
 import oracles
 import pytest
 from jax import export
+from mapg_jax.training.loop import run_keys, state_bytes
 
 import envs
 from mapg_jax.algorithms import heads
 from mapg_jax.training.config import PRESETS, Config
-from mapg_jax.training.loop import run_keys, state_bytes
 from mapg_jax.training.trainer import Trainer, make_trainer
 
 TIME_LIMIT = 5

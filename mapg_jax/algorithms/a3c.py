@@ -13,19 +13,25 @@ import optax
 from flax import struct
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from mapg_jax.algorithms.descent import Params, descend
+from mapg_jax.algorithms.base import Experience, Explored, Rollout, Transition, traced
+from mapg_jax.algorithms.descent import Params, adam, descend
 from mapg_jax.algorithms.networks import GaussianActor, StateCritic
+from mapg_jax.algorithms.options import Options, option
 
 
-class Rollout(NamedTuple):
-    """T steps of N environments."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class A3cOptions(Options):
+    """The numbers of A3C, chosen as docs/a3c.md says; it proposes one action a state."""
 
-    observation: jax.Array  # [T, N, D]
-    action: jax.Array  # [T, N, A], the Gaussian's sample; its clip to [-1, 1] was executed
-    reward: jax.Array  # [T, N]
-    terminal: jax.Array  # [T, N] bool, no bootstrap
-    ended: jax.Array  # [T, N] bool, the next row is of another episode
-    next_observation: jax.Array  # [T, N, D], before any reset
+    heads: int = dataclasses.field(default=1, init=False)
+    actor_learning_rate: float = option(1e-4, "Of Adam, for the actor.", above=0)
+    critic_learning_rate: float = option(1e-2, "Of Adam, for the critic.", above=0)
+    max_gradient_norm: float | None = option(
+        0.5, "The gradient of each network is scaled down to this norm.", above=0
+    )
+    entropy_weight: float = option(
+        1e-4, "β, of the entropy of the action's distribution, as in the paper.", at_least=0
+    )
 
 
 class Hyperparameters(struct.PyTreeNode):
@@ -104,12 +110,42 @@ def entropy(variance: Float[Array, "*B"], action_size: int) -> Float[Array, "*B"
 class A3c:
     """The static part of the algorithm: networks and optimiser."""
 
+    Options: ClassVar = A3cOptions
+    Hyper: ClassVar = Hyperparameters
+    Metrics: ClassVar = UpdateMetrics
+    experience: ClassVar[Experience] = "rollouts"
+    selects: ClassVar[tuple[str, ...]] = ("uniform", "mean")
+    presets: ClassVar = {}
+
     actor: GaussianActor
     critic: StateCritic
     optimizer: optax.GradientTransformation
     """Scales gradients; the learning rates are applied after it."""
-    selects: ClassVar[tuple[str, ...]] = ("uniform", "mean")
-    """The ways in which it can make one action of a state's Gaussian; see `act`."""
+
+    @classmethod
+    def make(cls, options: A3cOptions, action_size: int) -> "A3c":
+        """The algorithm with those options, for actions of A numbers."""
+        networks = {"hidden": options.hidden, "layer_norm": options.layer_norm}
+        return cls(
+            actor=GaussianActor(action_size=action_size, **networks),
+            critic=StateCritic(**networks),
+            optimizer=adam(options.max_gradient_norm),
+        )
+
+    @classmethod
+    def hyper(cls, options: A3cOptions) -> Hyperparameters:
+        """The traced numbers."""
+        return traced(Hyperparameters, options)
+
+    @staticmethod
+    def label(heads: int) -> str:
+        """Its name for people."""
+        return "A3C"
+
+    @staticmethod
+    def slug(heads: int) -> str:
+        """Its name in files."""
+        return "a3c"
 
     def init(self, key: PRNGKeyArray, observation_size: int) -> LearnerState:
         """Fresh networks."""
@@ -138,9 +174,25 @@ class A3c:
         mean, variance = self.gaussian(actor, observation)
         return mean + jnp.sqrt(variance)[..., None] * jax.random.normal(key, mean.shape)
 
+    def explorer(self, environments: int) -> tuple[()]:
+        """Nothing is carried from step to step."""
+        return ()
+
+    def explore(
+        self,
+        learner: LearnerState,
+        hyper: Hyperparameters,
+        explorer: tuple[()],
+        observation: Float[Array, "N D"],
+        key: PRNGKeyArray,
+    ) -> Explored:
+        """Samples; what is stored beside the clipped action is the sample itself."""
+        sample = self.sample(learner.actor, observation, key)
+        return Explored(jnp.clip(sample, -1.0, 1.0), sample, explorer)
+
     def act(
         self,
-        state: LearnerState,
+        learner: LearnerState,
         hyper: Hyperparameters,
         observation: Float[Array, "*B D"],
         key: PRNGKeyArray,
@@ -148,27 +200,24 @@ class A3c:
     ) -> Float[Array, "*B A"]:
         """One action a state: `uniform` draws it as in training, `mean` takes the mean."""
         if select == "mean":
-            return self.gaussian(state.actor, observation)[0]
-        return jnp.clip(self.sample(state.actor, observation, key), -1.0, 1.0)
+            return self.gaussian(learner.actor, observation)[0]
+        return jnp.clip(self.sample(learner.actor, observation, key), -1.0, 1.0)
 
-    def proposals(self, actor: Params, observation: Float[Array, "*B D"]) -> Float[Array, "*B 1 A"]:
-        """The mean, as the one action that is proposed."""
-        return self.gaussian(actor, observation)[0][..., None, :]
+    def proposals(
+        self, learner: LearnerState, observation: Float[Array, "*B D"]
+    ) -> tuple[Float[Array, "*B 1 A"], Float[Array, "*B 1"]]:
+        """The mean, as the one action that is proposed, and V as its value."""
+        action = self.gaussian(learner.actor, observation)[0]
+        return action[..., None, :], self.value(learner.critic, observation)[..., None]
 
     def value(self, critic: Params, observation: Float[Array, "*B D"]) -> Float[Array, "*B"]:
         """V."""
         return cast(Array, self.critic.apply(critic, observation))
 
-    def values(
-        self, critic: Params, observation: Float[Array, "*B D"], actions: Float[Array, "*B 1 A"]
-    ) -> Float[Array, "*B 1"]:
-        """V as the value of the one action that is proposed."""
-        return self.value(critic, observation)[..., None]
-
     def actor_loss(
         self,
         actor: Params,
-        rollout: Rollout,
+        steps: Transition,
         advantage: Float[Array, "T N"],
         entropy_weight: Float[Array, ""],
     ) -> tuple[Float[Array, ""], tuple[Float[Array, ""], Float[Array, ""]]]:
@@ -177,20 +226,20 @@ class A3c:
         $A = R - V$ is the advantage and H the entropy; $\pi$ is the density of the sample, not of
         the clipped action that is executed. Beside the loss: the means of the entropy and of σ.
         """
-        mean, variance = self.gaussian(actor, rollout.observation)
-        gain = (advantage * log_probability(rollout.action, mean, variance)).mean()
+        mean, variance = self.gaussian(actor, steps.observation)
+        gain = (advantage * log_probability(steps.extra, mean, variance)).mean()
         entropy_mean = entropy(variance, self.actor.action_size).mean()
         loss = -(gain + entropy_weight * entropy_mean)
         return loss, (entropy_mean, jnp.sqrt(variance).mean())
 
     def critic_loss(
-        self, critic: Params, rollout: Rollout, returns: Float[Array, "T N"]
+        self, critic: Params, steps: Transition, returns: Float[Array, "T N"]
     ) -> Float[Array, ""]:
         r"""$\frac{1}{TN} \sum_{t,i} (R_{ti} - V(s_{ti}))^2$."""
-        return jnp.square(returns - self.value(critic, rollout.observation)).mean()
+        return jnp.square(returns - self.value(critic, steps.observation)).mean()
 
     def update(
-        self, state: LearnerState, hyper: Hyperparameters, rollout: Rollout
+        self, state: LearnerState, hyper: Hyperparameters, rollout: Rollout, key: PRNGKeyArray
     ) -> tuple[LearnerState, UpdateMetrics]:
         """One update of actor and critic, both on the advantages of the critic before it.
 
@@ -198,17 +247,19 @@ class A3c:
           state: the learner.
           hyper: its numbers.
           rollout: collected by this actor, observations normalised.
+          key: nothing is drawn.
         """
-        discount = jnp.where(rollout.terminal, 0.0, hyper.discount)
-        next_value = self.value(state.critic, rollout.next_observation)
-        returns = n_step_returns(rollout.reward, discount, rollout.ended, next_value)
-        value = self.value(state.critic, rollout.observation)
+        steps = rollout.steps
+        discount = jnp.where(steps.terminal, 0.0, hyper.discount)
+        next_value = self.value(state.critic, steps.next_observation)
+        returns = n_step_returns(steps.reward, discount, rollout.ended, next_value)
+        value = self.value(state.critic, steps.observation)
 
         (actor_loss, (entropy_mean, action_std)), actor_gradient = jax.value_and_grad(
             self.actor_loss, has_aux=True
-        )(state.actor, rollout, returns - value, hyper.entropy_weight)
+        )(state.actor, steps, returns - value, hyper.entropy_weight)
         critic_loss, critic_gradient = jax.value_and_grad(self.critic_loss)(
-            state.critic, rollout, returns
+            state.critic, steps, returns
         )
         actor, actor_optimizer = descend(
             self.optimizer,

@@ -5,7 +5,7 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 Noise = Literal["ou", "gaussian", "none"]
 
@@ -45,8 +45,3 @@ def scales(
     r"""σ of every environment: $\sigma_i = \sigma_1 + (\sigma_N - \sigma_1) \frac{i-1}{N-1}$."""
     ramp = np.arange(environments, dtype=np.float32) / max(1, environments - 1)
     return first + (last - first) * ramp[:, None]
-
-
-def restart(noise: Float[Array, "N A"], ended: Bool[Array, "N"]) -> Float[Array, "N A"]:
-    """The process starts at 0 with every episode."""
-    return jnp.where(ended[:, None], 0.0, noise)

@@ -12,9 +12,13 @@ import optax
 from flax import struct
 from jaxtyping import Array, Float, Integer, PRNGKeyArray
 
+from mapg_jax.algorithms import exploration
 from mapg_jax.algorithms import heads as heads_
-from mapg_jax.algorithms.descent import Params, descend
+from mapg_jax.algorithms.base import Experience, Explored, Transition, traced
+from mapg_jax.algorithms.descent import Params, adam, descend
+from mapg_jax.algorithms.exploration import Noise
 from mapg_jax.algorithms.networks import Actor, Critic
+from mapg_jax.algorithms.options import Options, option
 
 GradientRule = Literal["stored", "resampled", "all"]
 """Which heads an actor update reaches: the one that acted, a fresh one a sample, or all."""
@@ -22,15 +26,39 @@ TargetRule = Literal["mean", "sampled"]
 """What the target bootstraps from: the mean over the heads (Eq. 6), or one head drawn a sample."""
 
 
-class Transition(NamedTuple):
-    """One environment step, as it is stored."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MapgOptions(Options):
+    """The numbers of MAPG; the defaults are those of the code the paper ran on."""
 
-    observation: jax.Array  # [D], raw
-    head: jax.Array  # [] i32, the head that acted
-    action: jax.Array  # [A], executed: the head's proposal with noise, in [-1, 1]
-    reward: jax.Array  # []
-    terminal: jax.Array  # [] bool, no bootstrap
-    next_observation: jax.Array  # [D], raw, before any reset
+    actor_learning_rate: float = option(1e-4, "Of Adam, for the actor.", above=0)
+    critic_learning_rate: float = option(1e-3, "Of Adam, for the critic.", above=0)
+    critic_l2: float = option(1e-2, "λ of the critic's weight penalty λ/2 Σ‖W‖².", at_least=0)
+    tau: float = option(
+        0.01, "τ, the step of the target networks: θ' ← θ' + τ(θ - θ').", above=0, at_most=1
+    )
+    max_gradient_norm: float | None = option(
+        None, "Gradients are scaled down to this norm; none by default.", above=0
+    )
+    gradient: GradientRule = option(
+        "stored",
+        "Heads an actor update reaches: the one that acted, a fresh one per sample, or all.",
+        of_heads=True,
+    )
+    target: TargetRule = option(
+        "mean",
+        "The target bootstraps from the mean over heads (Eq. 6) or from one head per sample.",
+        of_heads=True,
+    )
+    noise: Noise = option(
+        "ou",
+        "Exploration noise added to the action: Ornstein-Uhlenbeck, Gaussian or none.",
+    )
+    noise_scale: float = option(0.2, "σ of the noise, in units of [-1, 1].", at_least=0)
+    noise_scale_last: float | None = option(
+        None,
+        "σ in the last environment; those between take even steps. By default all have one σ.",
+        at_least=0,
+    )
 
 
 class Hyperparameters(struct.PyTreeNode):
@@ -95,14 +123,62 @@ def kernel_l2(params: Params) -> Float[Array, ""]:
 class Mapg:
     """The static part of the algorithm: networks, optimiser and rules."""
 
+    Options: ClassVar = MapgOptions
+    Hyper: ClassVar = Hyperparameters
+    Metrics: ClassVar = UpdateMetrics
+    experience: ClassVar[Experience] = "replay"
+    selects: ClassVar[tuple[str, ...]] = get_args(heads_.Select)
+    presets: ClassVar = {
+        "parallel": {  # the proportions of PQL's DDPG (Li et al. 2023): fast targets, a ladder
+            "actor_learning_rate": 5e-4,
+            "critic_learning_rate": 5e-4,
+            "critic_l2": 0.0,
+            "tau": 0.05,
+            "max_gradient_norm": 0.5,
+            "noise": "gaussian",
+            "noise_scale": 0.05,
+            "noise_scale_last": 0.8,
+        }
+    }
+
     actor: Actor
     critic: Critic
     optimizer: optax.GradientTransformation
     """Scales gradients; the learning rates are applied after it."""
     gradient: GradientRule = "stored"
     target: TargetRule = "mean"
-    selects: ClassVar[tuple[str, ...]] = get_args(heads_.Select)
-    """The ways in which it can make one action of a state's proposals."""
+    noise: Noise = "ou"
+
+    @classmethod
+    def make(cls, options: MapgOptions, action_size: int) -> "Mapg":
+        """The algorithm with those options, for actions of A numbers."""
+        networks = {"hidden": options.hidden, "layer_norm": options.layer_norm}
+        return cls(
+            actor=Actor(heads=options.heads, action_size=action_size, **networks),
+            critic=Critic(**networks),
+            optimizer=adam(options.max_gradient_norm),
+            gradient=options.gradient,
+            target=options.target,
+            noise=options.noise,
+        )
+
+    @classmethod
+    def hyper(cls, options: MapgOptions) -> Hyperparameters:
+        """The traced numbers; without a last σ all environments have the first."""
+        last = options.noise_scale_last
+        return traced(
+            Hyperparameters, options, noise_scale_last=options.noise_scale if last is None else last
+        )
+
+    @staticmethod
+    def label(heads: int) -> str:
+        """M = 1 is DDPG."""
+        return "DDPG" if heads == 1 else f"M = {heads}"
+
+    @staticmethod
+    def slug(heads: int) -> str:
+        """M = 1 is DDPG."""
+        return "ddpg" if heads == 1 else "mapg"
 
     def init(self, key: PRNGKeyArray, observation_size: int) -> LearnerState:
         """Fresh networks, their targets equal to them."""
@@ -121,11 +197,36 @@ class Mapg:
             updates=jnp.zeros((), jnp.int32),
         )
 
-    def proposals(self, actor: Params, observation: Float[Array, "*B D"]) -> Float[Array, "*B M A"]:
+    def explorer(self, environments: int) -> Float[Array, "N A"]:
+        """The noise, which starts at 0 with every episode."""
+        return jnp.zeros((environments, self.actor.action_size))
+
+    def explore(
+        self,
+        learner: LearnerState,
+        hyper: Hyperparameters,
+        explorer: Float[Array, "N A"],
+        observation: Float[Array, "N D"],
+        key: PRNGKeyArray,
+    ) -> Explored:
+        r"""$a = \mathrm{clip}(\rho_j(s) + x, \pm 1)$, j drawn uniformly, x the noise.
+
+        (MAPG, Algorithm 1.) What is stored beside the action is j, in a byte where M fits one.
+        """
+        head_key, noise_key = jax.random.split(key)
+        n = len(observation)
+        head = heads_.draw(head_key, hyper.heads, (n,))
+        scales = exploration.scales(hyper.noise_scale, hyper.noise_scale_last, n)
+        noise = exploration.advance(self.noise, noise_key, explorer, scales)
+        action = jnp.clip(self.action(learner.actor, observation, head) + noise, -1.0, 1.0)
+        stored = head.astype(jnp.uint8 if self.actor.heads <= 256 else jnp.int32)
+        return Explored(action, stored, noise)
+
+    def actions(self, actor: Params, observation: Float[Array, "*B D"]) -> Float[Array, "*B M A"]:
         """All M actions, padding included."""
         return cast(Array, self.actor.apply(actor, observation))
 
-    def proposal(
+    def action(
         self, actor: Params, observation: Float[Array, "*B D"], head: Integer[Array, "*B"]
     ) -> Float[Array, "*B A"]:
         """The action of one head a state; the gradient reaches that head alone."""
@@ -145,16 +246,22 @@ class Mapg:
 
     def act(
         self,
-        state: LearnerState,
+        learner: LearnerState,
         hyper: Hyperparameters,
         observation: Float[Array, "*B D"],
         key: PRNGKeyArray,
         select: heads_.Select,
     ) -> Float[Array, "*B A"]:
         """One action a state; see `heads.choose`."""
-        proposals = self.proposals(state.actor, observation)
-        values = self.values(state.critic, observation, proposals)
+        proposals, values = self.proposals(learner, observation)
         return heads_.choose(select, key, proposals, values, hyper.heads)
+
+    def proposals(
+        self, learner: LearnerState, observation: Float[Array, "*B D"]
+    ) -> tuple[Float[Array, "*B M A"], Float[Array, "*B M"]]:
+        """The actions of all heads, and Q of each."""
+        actions = self.actions(learner.actor, observation)
+        return actions, self.values(learner.critic, observation, actions)
 
     def next_value(
         self,
@@ -166,10 +273,10 @@ class Mapg:
         r"""$V'(s')$ of the target networks: the mean over heads, or that of one head drawn."""
         if self.target == "sampled":
             head = heads_.draw(key, hyper.heads, observation.shape[:1])
-            action = self.proposal(state.actor_target, observation, head)
+            action = self.action(state.actor_target, observation, head)
             return self.value(state.critic_target, observation, action)
-        proposals = self.proposals(state.actor_target, observation)
-        values = self.values(state.critic_target, observation, proposals)
+        actions = self.actions(state.actor_target, observation)
+        values = self.values(state.critic_target, observation, actions)
         return heads_.mean(values, hyper.heads)
 
     def critic_loss(
@@ -201,13 +308,13 @@ class Mapg:
         over the heads instead, the full gradient of Eq. 6's objective.
         """
         if self.gradient == "all":
-            proposals = self.proposals(actor, batch.observation)
-            values = self.values(critic, batch.observation, proposals)
+            actions = self.actions(actor, batch.observation)
+            values = self.values(critic, batch.observation, actions)
             return -heads_.mean(values, hyper.heads).mean()
-        head = batch.head
+        head = batch.extra
         if self.gradient == "resampled":
             head = heads_.draw(key, hyper.heads, head.shape)
-        action = self.proposal(actor, batch.observation, head)
+        action = self.action(actor, batch.observation, head)
         return -self.value(critic, batch.observation, action).mean()
 
     def update(

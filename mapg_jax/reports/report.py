@@ -90,7 +90,7 @@ def describe(protocol: Protocol) -> str:
     """A protocol in words."""
     changes = f", but {protocol.settings}" if protocol.settings else ""
     return (
-        f"{protocol.steps:,} environment steps; preset paper{changes}; scored over "
+        f"{protocol.steps:,} environment steps; preset {protocol.preset}{changes}; scored over "
         f"{protocol.episodes} episodes on {protocol.physics}, select {protocol.select}; "
         f"{protocol.versions}"
     )
@@ -150,7 +150,7 @@ def _pictures(results: Sequence[Result], runs: Runs, suffix: str) -> list[Block]
         known = [runs.curves[identity(r)] for r in of_cell if identity(r) in runs.curves]
         if known:
             curves.setdefault(env, {})[arm.name] = known
-        if arm.algorithm != "a3c" and not arm.settings:
+        if arm.algorithm in ("ddpg", "mapg") and not arm.settings:
             scores.setdefault(env, {})[arm.heads] = [[r.return_mean] for r in of_cell]
     if curves:
         text = "Learning curves: mean over n seeds, bands 95 % intervals over seeds (bootstrap)."

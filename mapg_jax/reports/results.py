@@ -2,8 +2,8 @@
 
 import contextlib
 import csv
-import dataclasses
 import datetime
+import functools
 import io
 import itertools
 import json
@@ -12,20 +12,17 @@ import os
 import pathlib
 import shlex
 import typing
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from mapg_jax.algorithms import registry
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.metrics import read_metrics
-from mapg_jax.training.config import Config
+from mapg_jax.training.config import PRESETS, Config, fields, preset
 
 COLUMNS_OF_THEIR_OWN = {"env", "algorithm", "heads", "seed", "steps"}
-ALGORITHMS = ("ddpg", "mapg", "a3c")
-HOST_ONLY = {"evaluate_every", "evaluation_episodes", "final_episodes", "checkpoint_seconds",
-             "checkpoints_kept"}  # fmt: skip
-COMPARED = {"gradient", "target", "noise", "noise_scale", "noise_scale_last"}
 CURVE = ("env_steps", "return_mean", "return_std", "spread", "q_gap_relative")
 
 
@@ -37,7 +34,7 @@ class Result(NamedTuple):
     """One finished run: what was trained, how its last policy scored, and where it comes from."""
 
     env: str
-    algorithm: str  # ddpg (MAPG with M = 1), mapg or a3c
+    algorithm: str  # its slug: ddpg (MAPG with M = 1), mapg, a3c, …
     heads: int  # M
     seed: int
     steps: int  # environment steps taken
@@ -60,7 +57,8 @@ class Protocol(NamedTuple):
     """What runs must have in common to be compared."""
 
     steps: int
-    settings: str  # but those of the noise and the rules, which comparisons are about
+    preset: str
+    settings: str  # of what all runs have; the algorithm's own are what comparisons are about
     select: str
     physics: str
     episodes: int
@@ -93,7 +91,7 @@ def read_run(folder: RunFolder | str | os.PathLike) -> Result:
     with _reading(folder.evaluation) as score:
         result = Result(
             env=config.env.lower(),
-            algorithm=algorithm(config),
+            algorithm=config.slug,
             heads=config.heads,
             seed=config.seed,
             steps=int(last["env_steps"]),
@@ -129,16 +127,11 @@ def find_runs(path: str | os.PathLike) -> list[RunFolder]:
     return found
 
 
-def algorithm(config: Config) -> str:
-    """Its name in results: MAPG with M = 1 is DDPG."""
-    return "ddpg" if (config.algorithm, config.heads) == ("mapg", 1) else config.algorithm
-
-
 def settings(config: Config) -> str:
     """Every field that bears on learning or the task and is not the preset paper's."""
-    paper = Config()
-    names = {field.name for field in dataclasses.fields(Config)} - COLUMNS_OF_THEIR_OWN - HOST_ONLY
-    values = {name: getattr(config, name) for name in sorted(names)}
+    paper = preset("paper", config.algorithm)
+    bears = {name for name, field in fields(type(config)).items() if not field.metadata["host"]}
+    values = {name: getattr(config, name) for name in sorted(bears - COLUMNS_OF_THEIR_OWN)}
     values["env_options"] = tuple(sorted(config.env_options))
     return shlex.join(f"{k}={_text(v)}" for k, v in values.items() if v != getattr(paper, k))
 
@@ -155,9 +148,31 @@ def versions(config: Config, history: Iterable[Mapping[str, Any]]) -> str:
     return "; ".join(dict.fromkeys(texts))
 
 
-def compared_settings(result: Result) -> str:
-    """Those settings that arms of one comparison may differ in: the noise and the rules."""
-    return _filtered(result.settings, lambda name: name in COMPARED)
+class Settings(NamedTuple):
+    """The settings of a run, sorted: by what all runs have, and by what its algorithm brings."""
+
+    preset: str  # the nearest one
+    common: str  # what else differs from it, as name=value
+    own: str  # the same, of the algorithm's own options
+
+
+def sort_settings(result: Result) -> Settings:
+    """The settings of a run, as differences from the nearest preset."""
+    return _sort_settings(result.algorithm, result.heads, result.settings)
+
+
+@functools.cache
+def _sort_settings(slug: str, heads: int, text: str) -> Settings:
+    algorithm = registry.name_of(registry.of_slug(slug, heads))
+    found, nearest, taken = shlex.split(text), "paper", set()
+    for name in PRESETS:
+        theirs = set(shlex.split(settings(preset(name, algorithm))))
+        if theirs <= set(found) and len(theirs) > len(taken):
+            nearest, taken = name, theirs
+    rest = [item for item in found if item not in taken]
+    common = [item for item in rest if item.partition("=")[0] in fields(Config)]
+    own = [item for item in rest if item not in common]
+    return Settings(nearest, shlex.join(common), shlex.join(own))
 
 
 def read_curve(folder: RunFolder | str | os.PathLike, rows: int = 40) -> dict[str, np.ndarray]:
@@ -173,14 +188,16 @@ def read_curve(folder: RunFolder | str | os.PathLike, rows: int = 40) -> dict[st
     if not isinstance(folder, RunFolder):
         folder = RunFolder.open(folder)
     table = _metrics(folder)
-    kept = table[:: -math.ceil(len(table) / rows)][::-1]
+    every = math.ceil(len(table) / rows)
+    kept = table[(len(table) - 1) % every :: every]
     return {name: np.array([row.get(name, math.nan) for row in kept]) for name in CURVE}
 
 
 def protocol(result: Result) -> Protocol:
     """What the run must have in common with another."""
-    common = result._replace(settings=_filtered(result.settings, lambda n: n not in COMPARED))
-    return Protocol(*(getattr(common, name) for name in Protocol._fields))
+    found = sort_settings(result)
+    common = {**result._asdict(), "preset": found.preset, "settings": found.common}
+    return Protocol(*(common[name] for name in Protocol._fields))
 
 
 def separate(results: Iterable[Result]) -> dict[Protocol, list[Result]]:
@@ -269,9 +286,10 @@ def _parse(row: Sequence[str], where: str) -> Result:
         except ValueError:
             raise ValueError(f"{where}: {name} is no number: {text!r}") from None
     result = Result(*values)
-    if result.algorithm not in ALGORITHMS:
-        known = ", ".join(ALGORITHMS)
-        raise ValueError(f"{where}: algorithm must be one of {known}, got {result.algorithm!r}")
+    try:
+        registry.of_slug(result.algorithm, result.heads)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
     return result
 
 
@@ -315,10 +333,6 @@ def _driving(metrics: dict[str, list[float]]) -> dict[str, Any]:
 
 def _text(value: Any) -> str:
     return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
-
-
-def _filtered(settings: str, keep: Callable[[str], bool]) -> str:
-    return shlex.join(s for s in shlex.split(settings) if keep(s.partition("=")[0]))
 
 
 def _day(path: pathlib.Path) -> str:

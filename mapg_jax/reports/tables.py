@@ -1,17 +1,21 @@
 """Scores of finished runs by task and arm, as tables. docs/report.md defines their numbers."""
 
 import csv
+import dataclasses
 import io
 import math
+import shlex
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from mapg_jax.algorithms import registry
+from mapg_jax.algorithms.mapg import Mapg
 from mapg_jax.reports import inference as statistics
 from mapg_jax.reports.document import Table
 from mapg_jax.reports.inference import Comparison, Estimate
-from mapg_jax.reports.results import Protocol, Result, compared_settings, separate
+from mapg_jax.reports.results import Protocol, Result, separate, sort_settings
 
 
 class Arm(NamedTuple):
@@ -19,22 +23,29 @@ class Arm(NamedTuple):
 
     algorithm: str
     heads: int
-    settings: str  # of the noise and the rules
+    settings: str  # of the algorithm's own options
 
     @property
     def name(self) -> str:
-        first = {"ddpg": "DDPG", "a3c": "A3C"}.get(self.algorithm, f"M = {self.heads}")
+        first = registry.of_slug(self.algorithm, self.heads).label(self.heads)
         return f"{first}, {self.settings}" if self.settings else first
 
     @property
     def baseline(self) -> "Arm":
-        """DDPG with the same noise; rules over heads say nothing where there is one."""
-        noise = (text for text in self.settings.split() if text.startswith("noise"))
-        return Arm("ddpg", 1, " ".join(noise))
+        """DDPG; for MAPG with the same settings, but those that say nothing of one head."""
+        if self.algorithm not in ("ddpg", "mapg"):
+            return Arm("ddpg", 1, "")
+        options = {f.name: f.metadata for f in dataclasses.fields(Mapg.Options)}
+        rules = {name for name, of_field in options.items() if of_field.get("of_heads")}
+        shared = [s for s in shlex.split(self.settings) if s.partition("=")[0] not in rules]
+        return Arm("ddpg", 1, shlex.join(shared))
 
     @property
     def rank(self) -> tuple:
-        return ("ddpg", "a3c", "mapg").index(self.algorithm), self.heads, self.settings
+        """Plain algorithms first, as they are registered; then by M."""
+        algorithm = registry.of_slug(self.algorithm, self.heads)
+        place = [registry.find(name) for name in registry.names()].index(algorithm)
+        return self.heads > 1, place, self.heads, self.settings
 
 
 class Cell(NamedTuple):
@@ -52,7 +63,7 @@ class Cell(NamedTuple):
 
 def arm_of(result: Result) -> Arm:
     """The arm that a run belongs to."""
-    return Arm(result.algorithm, result.heads, compared_settings(result))
+    return Arm(result.algorithm, result.heads, sort_settings(result).own)
 
 
 def by_cell(results: Iterable[Result]) -> dict[tuple[str, Arm], list[Result]]:

@@ -17,7 +17,7 @@ import orbax.checkpoint as ocp
 
 from mapg_jax.training import replay
 from mapg_jax.training.agent import AgentState
-from mapg_jax.training.trainer import TrainState
+from mapg_jax.training.state import TrainState
 
 logging.getLogger("absl").setLevel(logging.ERROR)  # Orbax logs every save at WARNING
 
@@ -36,10 +36,10 @@ class Checkpoints:
         """Environment steps of the newest complete checkpoint; None without one."""
         return self._manager.latest_step()
 
-    def save(self, state: Any, host: dict[str, Any]) -> None:
+    def save(self, state: TrainState, host: dict[str, Any]) -> None:
         """Writes the state and the host's own numbers (JSON)."""
         rest = state.replace(agent=None)
-        if isinstance(state, TrainState):  # A3C keeps no replay
+        if state.replay is not None:
             rest = rest.replace(replay=replay.trim(state.replay))
         args = ocp.args.Composite(
             agent=ocp.args.StandardSave(_flatten(state.agent)),
@@ -66,21 +66,28 @@ class Checkpoints:
         Raises:
           ValueError: if there is none, or it does not fit or is damaged.
         """
-        agent = self.load_agent(shapes.agent)
-        restored = self._restore("rest", ocp.args.StandardRestore())
-        host = self._restore("host", ocp.args.JsonRestore())
+        step = self._newest()
+        agent = self._load_agent(step, shapes.agent)
+        restored = self._restore(step, "rest", ocp.args.StandardRestore())
+        host = self._restore(step, "host", ocp.args.JsonRestore())
         rest_shapes = shapes.replace(agent=None)
         rest = self._unflatten(rest_shapes, restored)
         return rest.replace(agent=agent), host
 
-    def load_agent(self, shapes: AgentState) -> AgentState:
-        """The newest agent; the replay is not read."""
-        return self._unflatten(shapes, self._restore("agent", ocp.args.StandardRestore()))
+    def load_agent(self, shapes: AgentState) -> tuple[AgentState, int]:
+        """The newest agent, and its environment steps; the replay is not read."""
+        step = self._newest()
+        return self._load_agent(step, shapes), step
 
-    def _restore(self, item: str, arguments) -> Any:
-        step = self.newest()
-        if step is None:
+    def _newest(self) -> int:
+        if (step := self.newest()) is None:
             raise ValueError(f"{self.path.parent} has no complete checkpoint")
+        return step
+
+    def _load_agent(self, step: int, shapes: AgentState) -> AgentState:
+        return self._unflatten(shapes, self._restore(step, "agent", ocp.args.StandardRestore()))
+
+    def _restore(self, step: int, item: str, arguments) -> Any:
         try:
             return self._manager.restore(step, args=ocp.args.Composite(**{item: arguments}))[item]
         except Exception as error:  # Orbax and TensorStore raise many kinds

@@ -3,10 +3,10 @@
 from typing import Any
 
 from mapg_jax.runs.checkpoints import Checkpoints
-from mapg_jax.reports.plots import draw_curve
+from mapg_jax.runs.curve import draw_curve
 from mapg_jax.runs.folder import RunFolder
-from mapg_jax.runs.scoring import evaluate
 from mapg_jax.runs.metrics import read_metrics
+from mapg_jax.runs.scoring import evaluate
 
 
 def finish(folder: RunFolder, keep_replay: bool = True) -> dict[str, Any]:
@@ -19,9 +19,11 @@ def finish(folder: RunFolder, keep_replay: bool = True) -> dict[str, Any]:
     config = folder.config
     if not keep_replay:
         Checkpoints(folder.checkpoints).drop_replay()
-    policy = "A3C" if config.algorithm == "a3c" else f"M = {config.heads}"
-    draw_curve(folder.metrics, folder.curve, f"{config.env}, {policy}, seed {config.seed}")
-    return evaluate(folder, config.final_episodes)
+    if read_metrics(folder.metrics):  # one that was stopped early may have no evaluation
+        draw_curve(
+            folder.metrics, folder.curve, f"{config.env}, {config.label}, seed {config.seed}"
+        )
+    return evaluate(folder)
 
 
 def is_finished(folder: RunFolder) -> bool:

@@ -10,12 +10,13 @@ import pathlib
 import platform
 import shlex
 import sys
-import typing
 from typing import Any, TextIO
 
 from mapg_jax.runs import locking
-from mapg_jax.training.config import Config
+from mapg_jax.training.config import Config, fields
 
+FORMAT = 2
+"""Of run folders. Format 1 (no number in it) had one list of fields for all algorithms."""
 PACKAGES = ("mapg-jax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "brax", "mujoco",
             "mujoco-mjx", "gymnasium", "numpy")  # fmt: skip
 
@@ -74,17 +75,24 @@ class RunFolder:
         if not file.is_file():
             raise ValueError(f"{path} is not a run folder: it has no config.json")
         try:
-            config = parse_config(json.loads(file.read_text())["config"])
+            record = json.loads(file.read_text())
+            found, values = record.get("format", 1), record["config"]
+            config = parse_config(values) if found == FORMAT else None
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{file} is damaged: {error}") from None
+        if config is None:
+            raise ValueError(
+                f"{path} is a run folder of format {found!r}, and this version reads format "
+                f"{FORMAT}; use the version of mapg-jax that its config.json names"
+            )
         return cls(path, config)
 
     def write_config(self) -> None:
         """Everything needed to run it again, and every command that went on with it."""
         file = self.path / "config.json"
         earlier = json.loads(file.read_text()).get("history", []) if file.exists() else []
-        config = dataclasses.asdict(self.config)
-        write_json(file, {"config": config, "history": [*earlier, this_process()]})
+        history = [*earlier, this_process()]
+        write_json(file, {"format": FORMAT, "config": values_of(self.config), "history": history})
 
     def scored_steps(self) -> int:
         """Environment steps behind the score in evaluation.json; -1 without one to be read.
@@ -147,8 +155,8 @@ def write_json(path: pathlib.Path, record: dict[str, Any]) -> None:
 
 
 def _next_free(config: Config) -> pathlib.Path:
-    policy = "a3c" if config.algorithm == "a3c" else f"m{config.heads}"
-    stem = f"{config.env.replace(':', '-')}-{policy}"
+    heads = "" if config.heads == 1 else f"-m{config.heads}"
+    stem = f"{config.env.replace(':', '-')}-{config.slug}{heads}"
     number = 1
     while (path := pathlib.Path("runs") / f"{stem}-{number}").exists():
         number += 1
@@ -160,13 +168,12 @@ def parse_config(values: dict[str, Any]) -> Config:
 
     A field that came after the run has the default, as the run had.
     """
-    unknown = set(values) - set(typing.get_type_hints(Config))
-    if unknown:
-        raise ValueError(f"unknown: {', '.join(sorted(unknown))}")
-    arguments: dict[str, Any] = {
-        k: tuple(v) if isinstance(v, list) else v for k, v in values.items()
-    }
-    return Config(**arguments)
+    return Config(**values)
+
+
+def values_of(config: Config) -> dict[str, Any]:
+    """The fields of a configuration that can be set, as JSON takes them."""
+    return {name: getattr(config, name) for name in fields(type(config))}
 
 
 def _version(package: str) -> str | None:

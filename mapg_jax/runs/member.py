@@ -9,7 +9,8 @@ import numpy as np
 
 from mapg_jax.runs.checkpoints import Checkpoints
 from mapg_jax.training.evaluation import Episodes, summarize
-from mapg_jax.training.loop import Loop, Totals
+from mapg_jax.training.state import Totals
+from mapg_jax.training.trainer import Trainer
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.metrics import MetricsFile, cut_metrics
 
@@ -62,7 +63,7 @@ class Member:
 
     def row(
         self,
-        trainer: Loop,
+        trainer: Trainer,
         counters: tuple[Any, Any, Totals],
         played: Episodes,
         turns_per_second: float,
@@ -95,6 +96,6 @@ class Member:
             **{k: float(v) for k, v in played.heads._asdict().items()},
             "steps_per_second": turns_per_second * trainer.steps_per_turn,
             "updates_per_second": turns_per_second
-            * float(trainer.updates_ratio * trainer.steps_per_turn),
+            * float(trainer.turn.updates_ratio * trainer.steps_per_turn),
             "seconds": self.seconds_before + seconds,
         }

@@ -1,15 +1,11 @@
-"""What a run tells while it goes: metrics.csv, TensorBoard and the progress line."""
+"""The rows of a run: metrics.csv and TensorBoard, one row an evaluation."""
 
 import csv
 import math
 import os
 import pathlib
-import sys
 from collections.abc import Mapping
 
-import rich.console
-import rich.progress
-import tensorboardX
 
 Row = Mapping[str, int | float]
 
@@ -22,6 +18,8 @@ class MetricsFile:
 
     def __init__(self, path: pathlib.Path, env_steps: int = 0):
         """Goes on after `env_steps`; TensorBoard drops what it was told of later ones."""
+        import tensorboardX  # slow to import, and needed once a run
+
         self.path = path
         self._writer = tensorboardX.SummaryWriter(str(path.parent), purge_step=env_steps + 1)
 
@@ -76,50 +74,3 @@ def _table(path: pathlib.Path) -> list[list[str]]:
 def _text(value: int | float) -> str:
     """Nine digits: a float32 reads back the same."""
     return str(value) if isinstance(value, int) else f"{value:.9g}"
-
-
-class Progress:
-    """A bar on a terminal, a line an evaluation elsewhere; both on standard error."""
-
-    def __init__(self, total_steps: int, enabled: bool = True):
-        console = rich.console.Console(stderr=True)
-        self._lines = enabled and not console.is_terminal
-        self._total = total_steps
-        self._bar = rich.progress.Progress(
-            rich.progress.BarColumn(bar_width=None),
-            rich.progress.MofNCompleteColumn(),
-            rich.progress.TextColumn("return {task.fields[episode_return]}"),
-            rich.progress.TextColumn("{task.fields[rate]} steps/s"),
-            rich.progress.TimeRemainingColumn(elapsed_when_finished=True),
-            console=console,
-            disable=not enabled or self._lines,
-        )
-        self._task = self._bar.add_task("", total=total_steps, episode_return="-", rate="-")
-
-    def __enter__(self) -> "Progress":
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_) -> None:
-        self._bar.stop()
-
-    def advance(self, env_steps: int, steps_per_second: float) -> None:
-        """Moves the bar."""
-        self._bar.update(self._task, completed=env_steps, rate=f"{steps_per_second:,.0f}")
-
-    def learning(self) -> None:
-        """Says that the first updates are made: everything is compiled."""
-        if self._lines:
-            print("learning", file=sys.stderr, flush=True)
-
-    def evaluated(self, row: Row, seconds_left: float) -> None:
-        """Shows an evaluation's return."""
-        text = f"{row['return_mean']:.1f} ± {row['return_std']:.1f}"
-        self._bar.update(self._task, episode_return=text)
-        if self._lines:
-            print(
-                f"step {int(row['env_steps']):,} of {self._total:,}: return {text}, "
-                f"{row['steps_per_second']:,.0f} steps/s, {seconds_left:,.0f} s left",
-                file=sys.stderr,
-                flush=True,
-            )

@@ -4,10 +4,9 @@ import os
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from mapg_jax.algorithms import heads
+import envs
 from mapg_jax.training.agent import Agent, AgentState, make_agent
 from mapg_jax.runs.checkpoints import Checkpoints
 from mapg_jax.runs.folder import RunFolder
@@ -22,28 +21,29 @@ class Policy:
 
     def __init__(
         self,
+        env: envs.Env,
         agent: Agent,
         state: AgentState,
-        action_high: np.ndarray,
+        env_steps: int,
         seed: int = 0,
-        select: heads.Select = "uniform",
+        select: str = "uniform",
     ):
         if select not in agent.algorithm.selects:
             known = ", ".join(agent.algorithm.selects)
             raise ValueError(f"select must be one of {known}, got {select!r}")
-        if not 0 <= seed < 2**31:
-            raise ValueError(f"seed must be at least 0 and below 2147483648, got {seed}")
-        self.agent, self.state, self.action_high = agent, state, action_high
-        self._key = jax.random.key(seed)
+        self.env, self.agent, self.state, self.env_steps = env, agent, state, env_steps
+        self._key = jax.random.key(_checked_seed(seed))
         self._calls = 0
         self._observation_size = state.normalizer.mean.shape[-1]
+
+        action_high = env.action_high
 
         @jax.jit
         def act(state, observation, key):
             return agent.act(state, observation, key, select) * action_high
 
         self._act = act
-        self._proposals = jax.jit(lambda state, obs: agent.proposals(state, obs) * action_high)
+        self._proposals = jax.jit(lambda state, obs: agent.proposals(state, obs)[0] * action_high)
 
     def __call__(self, observation: Any, seed: int | None = None) -> np.ndarray:
         """An action a state, [A] or [N, A].
@@ -53,13 +53,13 @@ class Policy:
           seed: makes the draw repeatable; without it the policy's own stream goes on.
 
         Raises:
-          ValueError: if the last axis is not D.
+          ValueError: if the last axis is not D, a number is not finite, or the seed is negative.
         """
         if seed is None:
             key = jax.random.fold_in(self._key, self._calls)
             self._calls += 1
         else:
-            key = jax.random.key(seed)
+            key = jax.random.key(_checked_seed(seed))
         return np.asarray(self._act(self.state, self._checked(observation), key))
 
     def proposals(self, observation: Any) -> np.ndarray:
@@ -67,17 +67,19 @@ class Policy:
         m = int(self.state.hyper.heads)
         return np.asarray(self._proposals(self.state, self._checked(observation)))[..., :m, :]
 
-    def _checked(self, observation: Any) -> jax.Array:
-        observation = jnp.asarray(observation, jnp.float32)
+    def _checked(self, observation: Any) -> np.ndarray:
+        observation = np.asarray(observation, np.float32)
         size = self._observation_size
         if observation.ndim not in (1, 2) or observation.shape[-1] != size:
             raise ValueError(
                 f"an observation must be [{size}] or [N, {size}], got {list(observation.shape)}"
             )
+        if not np.isfinite(observation).all():
+            raise ValueError("an observation must be finite, and one of these numbers is not")
         return observation
 
 
-def load_policy(path: str | os.PathLike, seed: int = 0, select: heads.Select = "uniform") -> Policy:
+def load_policy(path: str | os.PathLike, seed: int = 0, select: str = "uniform") -> Policy:
     """The policy of a run folder's newest checkpoint.
 
     Args:
@@ -90,10 +92,20 @@ def load_policy(path: str | os.PathLike, seed: int = 0, select: heads.Select = "
       ValueError: if the folder holds no run, or no complete checkpoint, its algorithm cannot
         select so, or the seed is out of range.
     """
-    folder = RunFolder.open(path)
+    return open_policy(RunFolder.open(path), seed, select)
+
+
+def open_policy(folder: RunFolder, seed: int = 0, select: str = "uniform") -> Policy:
+    """`load_policy` of a folder that is open."""
     config = folder.config
     env = config.make_env()
     agent = make_agent(config, env.action_size)
     shapes = agent_shapes(config, agent, env.observation_size)
-    state = Checkpoints(folder.checkpoints).load_agent(shapes)
-    return Policy(agent, state, env.action_high, seed, select)
+    state, env_steps = Checkpoints(folder.checkpoints).load_agent(shapes)
+    return Policy(env, agent, state, env_steps, seed, select)
+
+
+def _checked_seed(seed: int) -> int:
+    if not 0 <= seed < 2**31:
+        raise ValueError(f"seed must be at least 0 and below 2147483648, got {seed}")
+    return seed

@@ -10,12 +10,14 @@ import jax
 import numpy as np
 
 import envs
-from mapg_jax.algorithms import heads
-from mapg_jax.runs.checkpoints import Checkpoints
 from mapg_jax.training.evaluation import play, summarize
-from mapg_jax.runs.policy import Policy, load_policy
+from mapg_jax.training.trainer import tree_bytes
+from mapg_jax.runs.memory import available_bytes
+from mapg_jax.runs.policy import Policy, open_policy
 from mapg_jax.runs.folder import RunFolder, write_json
 
+GYMNASIUM_BYTES = 1_000_000
+"""Of one environment, about: a MuJoCo model and its data."""
 Physics = Literal["auto", "native", "mjx", "jax", "gymnasium"]
 """What an evaluation runs on: `auto` is what the run's `engine` means on this machine,
 `gymnasium` the official task."""
@@ -23,19 +25,27 @@ Physics = Literal["auto", "native", "mjx", "jax", "gymnasium"]
 
 def evaluate(
     folder: RunFolder | str | os.PathLike,
-    episodes: int = 100,
+    episodes: int | None = None,
     physics: Physics = "auto",
-    select: heads.Select = "uniform",
+    select: str = "uniform",
     seed: int = 0,
 ) -> dict[str, Any]:
-    """Scores the newest checkpoint, and writes the result to the run's evaluation.json.
+    """Scores the newest checkpoint, and writes the result into the run folder.
 
-    See `score`.
+    The run's official score, by its own number of episodes and the defaults of the others, is
+    evaluation.json; any other stands beside it, in evaluations/. See `score`.
     """
     if not isinstance(folder, RunFolder):
         folder = RunFolder.open(folder)
+    official = folder.config.final_episodes, "auto", "uniform", 0
+    episodes = official[0] if episodes is None else episodes
     record = score(folder, episodes, physics, select, seed)
-    write_json(folder.evaluation, record)
+    if (episodes, physics, select, seed) == official:
+        write_json(folder.evaluation, record)
+    else:
+        name = f"{record['physics']}-{select}-{episodes}-s{seed}.json"
+        (folder.path / "evaluations").mkdir(exist_ok=True)
+        write_json(folder.path / "evaluations" / name, record)
     return record
 
 
@@ -43,7 +53,7 @@ def score(
     folder: RunFolder,
     episodes: int = 100,
     physics: Physics = "auto",
-    select: heads.Select = "uniform",
+    select: str = "uniform",
     seed: int = 0,
 ) -> dict[str, Any]:
     """The score of the newest checkpoint, as docs/metrics.md describes evaluation.json.
@@ -56,18 +66,18 @@ def score(
       seed: of starts and heads.
 
     Raises:
-      ValueError: if the run has no checkpoint, or the environment lacks that physics.
+      ValueError: if the run has no checkpoint, the environment lacks that physics, or so many
+        episodes do not fit the memory.
     """
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")
-    env_steps = Checkpoints(folder.checkpoints).newest()
-    policy = load_policy(folder.path, seed, select)
+    policy = open_policy(folder, seed, select)
     play_in = _in_gymnasium if physics == "gymnasium" else _in_jax
     physics, returns, lengths, extra = play_in(folder, policy, episodes, physics, select, seed)
     summary = summarize(returns)
     return {
         "env": folder.config.env,
-        "env_steps": env_steps,
+        "env_steps": policy.env_steps,
         "physics": physics,
         "select": select,
         "episodes": summary.episodes,
@@ -82,7 +92,9 @@ def score(
 
 
 def _in_jax(folder, policy: Policy, episodes, physics, select, seed):
-    env = folder.config.make_env(None if physics == "auto" else physics)
+    env = policy.env if physics == "auto" else folder.config.make_env(physics)
+    each = tree_bytes(jax.eval_shape(env.reset, jax.random.key(0)))
+    _refuse_too_many(episodes, each)
     played = jax.jit(
         functools.partial(
             play,
@@ -107,6 +119,7 @@ def _in_gymnasium(folder, policy: Policy, episodes, physics, select, seed):
     env_id = envs.spec(config.env).gymnasium_id
     if env_id is None:
         raise ValueError(f"{config.env} equals no Gymnasium task; choose another --physics")
+    _refuse_too_many(episodes, GYMNASIUM_BYTES)
     options = config.parsed_env_options()
     try:
         starts = [
@@ -128,3 +141,16 @@ def _in_gymnasium(folder, policy: Policy, episodes, physics, select, seed):
     for env in starts:
         env.close()
     return "gymnasium", returns, lengths, {}
+
+
+def _refuse_too_many(episodes: int, each: int) -> None:
+    """Raises ValueError if episodes of so many bytes do not fit the memory, side by side.
+
+    A step holds two states of each, and what it computes in between.
+    """
+    needed, available = 4 * episodes * each, available_bytes()
+    if needed > available or episodes >= 2**31:
+        raise ValueError(
+            f"{episodes:,} episodes side by side need {needed / 1e9:.1f} GB but "
+            f"{available / 1e9:.1f} GB are available; choose fewer --episodes"
+        )

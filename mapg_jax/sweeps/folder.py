@@ -6,7 +6,7 @@ import os
 import pathlib
 from typing import Any
 
-from mapg_jax.runs.folder import make_folder, parse_config, write_json
+from mapg_jax.runs.folder import FORMAT, make_folder, write_json
 from mapg_jax.sweeps import grid
 from mapg_jax.sweeps.groups import Grouping
 from mapg_jax.training.config import Config
@@ -17,9 +17,9 @@ class SweepFolder:
     """Where a sweep keeps its grid and its runs."""
 
     path: pathlib.Path
-    base: Config
+    preset: str
     values: grid.Values
-    """Of the fields that are given several."""
+    """Of the fields that are given; all others are the preset's."""
     group: Grouping = "auto"
     workers: int | None = None
     keep_replay: bool = False
@@ -30,10 +30,9 @@ class SweepFolder:
         Raises:
           ValueError: if the grid is empty or a cell cannot be configured.
         """
-        cells = grid.expand(self.base, self.values)
-        return [
-            (cell, self.path / name) for cell, name in zip(cells, grid.names(cells), strict=True)
-        ]
+        cells = grid.expand(self.preset, self.values)
+        names = grid.names(cells, self.values)
+        return [(cell, self.path / name) for cell, name in zip(cells, names, strict=True)]
 
     def create(self) -> None:
         """Makes the folder and writes the grid into it.
@@ -42,7 +41,7 @@ class SweepFolder:
           ValueError: if the folder exists or cannot be created.
         """
         make_folder(self.path)
-        record = dataclasses.asdict(self)
+        record = {"format": FORMAT, **dataclasses.asdict(self)}
         del record["path"]
         write_json(self.path / "sweep.json", record)
 
@@ -62,9 +61,10 @@ class SweepFolder:
         file = path / "sweep.json"
         try:
             record = json.loads(file.read_text())
-            base = parse_config(record.pop("base"))
+            if (found := record.pop("format", 1)) != FORMAT:
+                raise ValueError(f"it is of format {found!r}, and this version reads {FORMAT}")
             values = {k: tuple(map(_as_tuple, v)) for k, v in record.pop("values").items()}
-            folder = cls(path, base, values, **record)
+            folder = cls(path, values=values, **record)
             folder.runs()
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ValueError(f"{file} is damaged: {error}") from None

@@ -1,13 +1,12 @@
 """A grid of runs: several values a field, their product, and a readable name for each cell."""
 
-import dataclasses
 import itertools
 import math
 import urllib.parse
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from mapg_jax.training.config import Config
+from mapg_jax.training.config import Config, config_type, fields, preset, refuse_foreign
 
 Values = Mapping[str, Sequence[Any]]
 """The values that fields of a configuration take."""
@@ -17,23 +16,38 @@ MOST_CELLS = 100_000
 """More is a slip of the hand, and would take minutes to list."""
 
 
-def expand(base: Config, values: Values) -> list[Config]:
-    """The product of the values over a base; equal cells are one.
+def expand(name: str, values: Values) -> list[Config]:
+    """The product of the values over a preset; equal cells are one.
 
-    Seeds vary slowest, so that every cell has its first seed early.
+    A value goes to the algorithms that have the field. Seeds vary slowest, so that every cell has
+    its first seed early.
 
     Raises:
-      ValueError: if a field has no values, or a cell cannot be configured.
+      ValueError: if a field has no values, none of the algorithms has it, or a cell cannot be
+        configured.
     """
-    for name, several in values.items():
+    for field, several in values.items():
         if not several:
-            raise ValueError(f"the grid is empty: {name} has no values")
-    if size(values) > MOST_CELLS:
-        raise ValueError(f"the grid has {size(values):,} cells, more than {MOST_CELLS:,}")
-    names = sorted(values, key=lambda name: name != "seed")
-    product = itertools.product(*(values[name] for name in names))
-    cells = (dataclasses.replace(base, **dict(zip(names, cell, strict=True))) for cell in product)
+            raise ValueError(f"the grid is empty: {field} has no values")
+    refuse_a_vast_grid(size(values))
+    algorithms = values.get("algorithm", (Config.algorithm,))
+    types = {algorithm: config_type(algorithm) for algorithm in algorithms}
+    for field in values:
+        if not any(field in fields(cls) for cls in types.values()):
+            refuse_foreign(types[algorithms[0]], field)
+    names = sorted(values, key=lambda field: field != "seed")
+    cells = []
+    for cell in itertools.product(*(values[field] for field in names)):
+        chosen = {"algorithm": algorithms[0], **dict(zip(names, cell, strict=True))}
+        known = fields(types[chosen["algorithm"]])
+        cells.append(preset(name, **{k: v for k, v in chosen.items() if k in known}))
     return list(dict.fromkeys(cells))
+
+
+def refuse_a_vast_grid(cells: int) -> None:
+    """Raises ValueError if there are more cells than anybody means."""
+    if cells > MOST_CELLS:
+        raise ValueError(f"the grid has {cells:,} cells, more than {MOST_CELLS:,}")
 
 
 def size(values: Values) -> int:
@@ -41,25 +55,22 @@ def size(values: Values) -> int:
     return math.prod(map(len, values.values()))
 
 
-def names(cells: Sequence[Config]) -> list[str]:
-    """A folder's name for each cell, of the fields in which the cells differ."""
-    varied = [
-        field.name
-        for field in dataclasses.fields(Config)
-        if len({getattr(cell, field.name) for cell in cells}) > 1 and field.name != "env"
-    ]
-    varied.sort(key=lambda name: name == "seed")  # last
+def names(cells: Sequence[Config], values: Values) -> list[str]:
+    """A folder's name for each cell, of the fields with several values; the seed comes last."""
+    varied = [field for field, several in values.items() if len(set(several)) > 1]
+    varied = [field for field in varied if field != "env"]
+    varied.sort(key=lambda field: field == "seed")
     return [_name(cell, varied) for cell in cells]
 
 
 def _name(cell: Config, varied: Sequence[str]) -> str:
     parts = [cell.env.replace(":", "-")]
-    for name in varied:
-        if name == "algorithm":
+    for field in varied:
+        if field == "algorithm":
             parts.append(cell.algorithm)
-        elif name != "heads" or cell.algorithm != "a3c":  # which proposes one
-            equals = SHORT.get(name, f"{name}=")
-            parts.append(f"{equals}{_text(getattr(cell, name))}")
+        elif field in fields(type(cell)):
+            equals = SHORT.get(field, f"{field}=")
+            parts.append(f"{equals}{_text(getattr(cell, field))}")
     return "-".join(parts)
 
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import math
 import os
 import pathlib
 import shutil
@@ -13,11 +12,10 @@ import jax
 
 from envs.engines.simulators import cpus
 from mapg_jax.runs.checkpoints import Checkpoints
-from mapg_jax.runs.runner import available_bytes
+from mapg_jax.runs.memory import available_bytes
 from mapg_jax.training.config import Config
 from mapg_jax.training.lockstep import program_key
-from mapg_jax.training.loop import Loop, state_bytes
-from mapg_jax.training.trainer import make_trainer
+from mapg_jax.training.trainer import Trainer, make_trainer, tree_bytes
 
 Grouping = Literal["auto", "one", "all"] | int
 """How many runs a program has: what pays, one, as many as can, or so many at most."""
@@ -143,14 +141,13 @@ def _largest(jobs: Sequence[Job]) -> Config:
 
 
 @functools.cache
-def _trainer(config: Config) -> Loop:
+def _trainer(config: Config) -> Trainer:
     return make_trainer(config)
 
 
 def _run_bytes(config: Config) -> int:
-    return state_bytes(_trainer(dataclasses.replace(config, seed=0)))
+    return _trainer(dataclasses.replace(config, seed=0)).bytes
 
 
 def _agent_bytes(config: Config) -> int:
-    leaves = jax.tree.leaves(_trainer(dataclasses.replace(config, seed=0)).shapes.agent)
-    return sum(math.prod(x.shape) * x.dtype.itemsize for x in leaves)
+    return tree_bytes(_trainer(dataclasses.replace(config, seed=0)).shapes.agent)

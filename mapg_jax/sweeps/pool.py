@@ -12,6 +12,9 @@ from mapg_jax.runs.finishing import is_finished
 from mapg_jax.runs.folder import RunFolder, is_blank
 from mapg_jax.sweeps.groups import Group
 from mapg_jax.sweeps.worker import failure_file
+from mapg_jax.training import plugins
+
+WORKER = "mapg_jax.sweeps.worker"
 
 # The process of a sweep only asks a GPU for its size; its workers need the memory, and have it as
 # the user says.
@@ -32,15 +35,12 @@ class Worker:
         self.folders = [_open(config, path) for config, path in group]
         self._log = group[0].path / "worker.log"
         flags = ["--keep-replay"] if keep_replay else []
+        folders = [str(job.path) for job in group]
+        imports = [f"--import={module}" for module in plugins.loaded()]
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-m",
-                    "mapg_jax.sweeps.worker",
-                    *flags,
-                    *(str(j.path) for j in group),
-                ],
+                # -P: what lies in the working folder does not hide what is installed.
+                [sys.executable, "-P", "-m", WORKER, *flags, *imports, *folders],
                 stdin=subprocess.PIPE,  # its end tells the worker that this process is gone
                 stdout=log,
                 stderr=subprocess.STDOUT,

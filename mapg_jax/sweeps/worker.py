@@ -15,8 +15,10 @@ from collections.abc import Sequence
 from mapg_jax.runs.finishing import finish
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.member import DivergedError
-from mapg_jax.runs.runner import Run, prepare
-from mapg_jax.runs.signals import StoppedError
+from mapg_jax.runs.memory import prepare
+from mapg_jax.runs.run import Run
+from mapg_jax.runs.signals import StoppedError, caught_signals
+from mapg_jax.training import plugins
 
 
 def failure_file(path: pathlib.Path) -> pathlib.Path:
@@ -29,8 +31,9 @@ def work(folders: Sequence[RunFolder], keep_replay: bool) -> None:
     run = Run(prepare(*(folder.config for folder in folders)), folders)
     run.restore()
     if not run.finished:
-        with contextlib.suppress(DivergedError):  # of the last one left; each member has its own
-            run.go()
+        # The last one left raises; each member has its own failure.
+        with contextlib.suppress(DivergedError), caught_signals() as signals:
+            run.go(signals=signals)
     for member in run.members:
         if member.failure is None:
             finish(member.folder, keep_replay)
@@ -41,9 +44,11 @@ def work(folders: Sequence[RunFolder], keep_replay: bool) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--keep-replay", action="store_true")
+    plugins.add_argument(parser)
     parser.add_argument("folders", nargs="+")
     arguments = parser.parse_args()
     threading.Thread(target=_stop_with_the_parent, daemon=True).start()
+    plugins.load(arguments.imports)
     try:
         work([RunFolder.open(path) for path in arguments.folders], arguments.keep_replay)
     except StoppedError as stopped:

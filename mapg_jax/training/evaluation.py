@@ -46,7 +46,7 @@ def play(
     *,
     episodes: int,
     time_limit: int,
-    select: heads.Select,
+    select: str,
 ) -> Episodes:
     """Plays E episodes side by side, without noise, until the last has ended.
 
@@ -64,7 +64,7 @@ def play(
 
     def step(carry):
         t, env_state, alive, returns, lengths, last, sums = carry
-        proposals, values = agent.proposals_and_values(state, env_state.obs)
+        proposals, values = agent.proposals(state, env_state.obs)
         action = agent.act(state, env_state.obs, jax.random.fold_in(act_key, t), select)
         value = heads.mean(values, m) - pivot
 
@@ -86,7 +86,7 @@ def play(
 
     env_state = jax.vmap(env.reset)(jax.random.split(start_key, episodes))
     # Squares of deviations from a value near the mean keep their digits.
-    pivot = heads.mean(agent.proposals_and_values(state, jnp.asarray(env_state.obs))[1], m).mean()
+    pivot = heads.mean(agent.proposals(state, jnp.asarray(env_state.obs))[1], m).mean()
     zeros = jnp.zeros(episodes)
     first = (
         jnp.zeros((), jnp.int32),

@@ -12,24 +12,24 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from mapg_jax.algorithms import registry
 from mapg_jax.training.agent import hyperparameters
 from mapg_jax.training.config import Config
 from mapg_jax.training.evaluation import play
-from mapg_jax.training.loop import Loop, run_keys, state_bytes
-from mapg_jax.training.trainer import make_trainer
+from mapg_jax.training.trainer import Trainer, make_trainer, run_keys
 
-TRACED = frozenset({
-    "seed", "heads", "noise_scale", "noise_scale_last", "discount", "tau", "critic_l2",
-    "actor_learning_rate", "critic_learning_rate", "a3c_actor_learning_rate",
-    "a3c_critic_learning_rate", "a3c_entropy_weight",
-})  # fmt: skip
-"""The fields of a configuration in which runs of one program may differ."""
+
+def traced_fields(config: Config) -> frozenset[str]:
+    """The fields in which the runs of one program may differ: the seed, and what `Hyper` has."""
+    hyper = registry.find(config.algorithm).Hyper
+    return frozenset({"seed", *(field.name for field in dataclasses.fields(hyper))})
 
 
 def program_key(config: Config) -> tuple:
     """All other fields: runs whose keys are equal can go in lockstep."""
-    values = ((f.name, getattr(config, f.name)) for f in dataclasses.fields(config))
-    return tuple(value for name, value in values if name not in TRACED)
+    traced = traced_fields(config)
+    names = (field.name for field in dataclasses.fields(config) if field.name not in traced)
+    return tuple(getattr(config, name) for name in names)
 
 
 class Lockstep:
@@ -45,14 +45,16 @@ class Lockstep:
         self.alone = len(configs) == 1
         largest = max(configs, key=lambda config: config.heads)
         if not self.alone:  # the same program for other numbers: a compiled one is used again
-            numbers = {name: getattr(Config(), name) for name in TRACED - {"heads"}}
-            largest = dataclasses.replace(largest, **numbers)
-        self.trainer: Loop = make_trainer(largest)
+            numbers = traced_fields(largest) - {"heads"}
+            largest = dataclasses.replace(
+                largest, **{name: getattr(type(largest), name) for name in numbers}
+            )
+        self.trainer: Trainer = make_trainer(largest)
 
     @property
     def bytes(self) -> int:
         """Memory of the state."""
-        return state_bytes(self.trainer) * len(self.configs)
+        return self.trainer.bytes * len(self.configs)
 
     def init(self) -> Any:
         """The state before the first step."""

@@ -1,0 +1,83 @@
+"""Algorithms by name: ours, a user's, and those of installed packages."""
+
+import importlib.metadata
+import re
+from typing import Any
+
+from mapg_jax.algorithms.a3c import A3c
+from mapg_jax.algorithms.base import Algorithm
+from mapg_jax.algorithms.mapg import Mapg
+
+GROUP = "mapg_jax.algorithms"
+"""Of the entry points by which a package offers algorithms: a name, and the class."""
+
+_ALGORITHMS: dict[str, type[Algorithm]] = {
+    "mapg": Mapg,
+    "a3c": A3c,
+}
+
+
+def register(name: str, algorithm: Any) -> None:
+    """Makes an algorithm known under a name, in this process; see `base.Algorithm`.
+
+    Raises:
+      ValueError: if another has the name, it is no plain name, or something is missing.
+    """
+    if not re.fullmatch(r"[a-z][a-z0-9_-]*", name):
+        raise ValueError(f"an algorithm's name is of a-z, 0-9, _ and -, got {name!r}")
+    if _ALGORITHMS.setdefault(name, algorithm) is not algorithm:
+        raise ValueError(f"there is another algorithm {name!r}")
+    lacking = [part for part in _parts() if not hasattr(algorithm, part)]
+    if lacking:
+        del _ALGORITHMS[name]
+        raise ValueError(f"the algorithm {name!r} lacks {', '.join(lacking)}")
+
+
+def names() -> tuple[str, ...]:
+    """The algorithms there are; those of installed packages come last."""
+    return tuple(dict.fromkeys([*_ALGORITHMS, *(point.name for point in _offered())]))
+
+
+def find(name: str) -> type[Algorithm]:
+    """The algorithm of that name.
+
+    Raises:
+      ValueError: if there is none, or the package that offers it cannot be used.
+    """
+    if name not in _ALGORITHMS:
+        offered = {point.name: point for point in _offered()}
+        if name not in offered:
+            raise ValueError(f"algorithm must be one of {', '.join(names())}, got {name!r}")
+        try:
+            register(name, offered[name].load())
+        except Exception as error:  # of somebody else's code
+            package = getattr(offered[name].dist, "name", offered[name].value)
+            raise ValueError(f"the algorithm {name!r} of {package} is broken: {error}") from error
+    return _ALGORITHMS[name]
+
+
+def of_slug(slug: str, heads: int) -> type[Algorithm]:
+    """The algorithm that has that name in results.
+
+    Raises:
+      ValueError: if there is none.
+    """
+    for name in names():
+        if (algorithm := find(name)).slug(heads) == slug:
+            return algorithm
+    raise ValueError(f"no algorithm with M = {heads} is called {slug!r}")
+
+
+def name_of(algorithm: type[Algorithm]) -> str:
+    """The name by which an algorithm is registered."""
+    return next(name for name, known in _ALGORITHMS.items() if known is algorithm)
+
+
+def _offered() -> importlib.metadata.EntryPoints:
+    return importlib.metadata.entry_points(group=GROUP)
+
+
+def _parts() -> set[str]:
+    """What the protocol asks for."""
+    methods = {name for name in vars(Algorithm) if not name.startswith("_")}
+    return methods | set(Algorithm.__annotations__)

@@ -1,0 +1,38 @@
+"""mapg envs: the environments."""
+
+import argparse
+from typing import TextIO
+
+import rich.table
+
+import envs
+from mapg_jax.cli.console import console
+from mapg_jax.cli.main import parser
+from mapg_jax.training import plugins
+
+
+def parse(flags: list[str]) -> argparse.Namespace:
+    """The arguments."""
+    command = parser("envs")
+    plugins.add_argument(command)
+    arguments = command.parse(flags)
+    plugins.load(arguments.imports)
+    return arguments
+
+
+def run(arguments: argparse.Namespace, out: TextIO) -> None:
+    """Lists them."""
+    headers = ("name", "observation", "action", "time limit", "engines", "equals")
+    table = rich.table.Table(*(rich.table.Column(h, overflow="fold") for h in headers))
+    for name in envs.names():
+        spec, env = envs.spec(name), envs.make(name)
+        table.add_row(
+            name,
+            str(env.observation_size),
+            str(env.action_size),
+            str(spec.time_limit),
+            ", ".join(spec.engines),
+            spec.gymnasium_id or "",
+        )
+    console(out).print(table)
+    print("brax:NAME takes any environment of Brax.", file=out)

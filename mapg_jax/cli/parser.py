@@ -1,0 +1,134 @@
+"""Command lines: a flag for each field of a configuration, and refusals of one line."""
+
+import argparse
+import dataclasses
+import difflib
+import types
+import typing
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, NoReturn
+
+from mapg_jax.cli.console import complain
+
+WIDTH = 100
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, and exits with 2."""
+
+    def __init__(self, *arguments, **options):
+        super().__init__(
+            *arguments,
+            **options,
+            allow_abbrev=False,
+            formatter_class=lambda prog: argparse.RawDescriptionHelpFormatter(prog, width=WIDTH),
+        )
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(complain(message.removeprefix("argument "), 2))
+
+    def flags(self) -> list[str]:
+        """All flags that it knows."""
+        return list(self._option_string_actions)
+
+    def parse(self, flags: list[str]) -> argparse.Namespace:
+        """The arguments; a flag that is near an unknown one is named."""
+        arguments, rest = self.parse_known_args(flags)
+        if rest:
+            near = difflib.get_close_matches(rest[0], self.flags(), 1)
+            self.error(f"unknown: {rest[0]}" + (f"; did you mean {near[0]}?" if near else ""))
+        return arguments
+
+
+def add_fields(
+    parser: argparse._ActionsContainer,
+    fields: Mapping[str, tuple[dataclasses.Field, Any, Any]],
+    several: bool = False,
+) -> None:
+    """A flag a field; those that are not given do not appear among the arguments.
+
+    Args:
+      parser: to add to.
+      fields: by name, the field, its type and the default that the help shows.
+      several: whether each takes any number of values.
+    """
+    for name, (field, hint, default) in fields.items():
+        shown = "" if default is None else f" (default: {_shown(default)})"
+        options: dict[str, Any] = {
+            "dest": name,
+            "help": (field.metadata.get("help", "") + shown).replace("%", "%%"),
+            "default": argparse.SUPPRESS,
+        }
+        if hint is bool and not several:
+            options["action"] = argparse.BooleanOptionalAction
+        elif several:
+            options |= {"type": _one(hint), "nargs": "*", "metavar": _metavar(hint)}
+        elif typing.get_origin(hint) is tuple:
+            options |= {"action": _Joined, "type": _one(hint), "nargs": "*"}
+            options["metavar"] = _metavar(hint)
+        else:
+            options |= {"type": _one(hint), "metavar": _metavar(hint)}
+        parser.add_argument(f"--{name.replace('_', '-')}", **options)
+
+
+class _Joined(argparse.Action):
+    """`--hidden 64 64` is `--hidden 64,64`."""
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        setattr(namespace, self.dest, tuple(item for value in values or () for item in value))
+
+
+def _one(hint: Any) -> Callable[[str], Any]:
+    """A text as a value of that type."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        (kind,) = (x for x in arguments if x is not types.NoneType)
+        return lambda text: None if text.lower() == "none" else _one(kind)(text)
+    if origin is tuple:
+        return lambda text: tuple(map(_one(arguments[0]), _items(text)))
+    if origin is Literal:
+        return lambda text: _member(text, arguments)
+    if hint is bool:
+        return lambda text: _member(text.capitalize(), ("True", "False")) == "True"
+    return lambda text: _number(text, hint)
+
+
+def _items(text: str) -> list[str]:
+    """Split at commas; those within brackets belong to an item."""
+    items, depth = [""], 0
+    for letter in text:
+        depth += (letter in "([") - (letter in ")]")
+        if letter == "," and not depth:
+            items.append("")
+        else:
+            items[-1] += letter
+    return [item for item in items if item]
+
+
+def _member(text: str, choices: tuple[str, ...]) -> str:
+    if text not in choices:
+        raise argparse.ArgumentTypeError(f"must be one of {', '.join(choices)}, got {text!r}")
+    return text
+
+
+def _number(text: str, kind: type) -> Any:
+    try:
+        return kind(text)
+    except ValueError:
+        word = {int: "a whole number", float: "a number"}.get(kind, kind.__name__)
+        raise argparse.ArgumentTypeError(f"must be {word}, got {text!r}") from None
+
+
+def _metavar(hint: Any) -> str:
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        return "|".join("none" if x is types.NoneType else _metavar(x) for x in arguments)
+    if origin is tuple:
+        return f"{_metavar(arguments[0])},…"
+    return "|".join(arguments) if origin is Literal else hint.__name__.upper()
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, tuple):
+        return ",".join(map(str, value)) or "none"
+    return str(value)

@@ -1,0 +1,50 @@
+"""mapg resume: what a run or a sweep still lacks."""
+
+import argparse
+import pathlib
+import sys
+from typing import TextIO
+
+from mapg_jax.cli import sweep
+from mapg_jax.cli.console import complain, refuse_politely
+from mapg_jax.cli.main import parser
+from mapg_jax.cli.train import take_to_the_end
+from mapg_jax.runs.train import take_up
+from mapg_jax.sweeps.folder import SweepFolder
+from mapg_jax.training import plugins
+
+
+def parse(flags: list[str]) -> argparse.Namespace:
+    """The arguments."""
+    command = parser("resume")
+    command.add_argument("path", type=pathlib.Path, help="Folder of a run or of a sweep.")
+    command.add_argument(
+        "--steps",
+        type=int,
+        help="A new total of environment steps, to train a finished run further.",
+    )
+    plugins.add_argument(command)
+    arguments = command.parse(flags)
+    plugins.load(arguments.imports)
+    return arguments
+
+
+def run(arguments: argparse.Namespace, out: TextIO) -> None:
+    """Goes on."""
+    path, steps = arguments.path, arguments.steps
+    if SweepFolder.is_one(path):
+        if steps is not None:
+            sys.exit(complain(f"{path} is a sweep; --steps trains a run of it further", 2))
+        sweep.go_on(path, out)
+        return
+    under_way = refuse_politely(lambda: take_up(path, steps))
+    if under_way.finished:
+        print(
+            f"{path} is finished: {under_way.env_steps:,} steps; "
+            "--steps with a larger number trains it further",
+            file=out,
+        )
+        folder = under_way.folder
+        if folder.scored_steps() >= folder.config.steps:  # else it was cut off before its score
+            return
+    take_to_the_end(under_way, out)

@@ -1,0 +1,64 @@
+"""mapg train: a run from its first step to its score."""
+
+import argparse
+import pathlib
+import sys
+from typing import TextIO
+
+from mapg_jax.cli import fields
+from mapg_jax.cli.console import complain, refuse_politely
+from mapg_jax.cli.main import parser
+from mapg_jax.cli.score import print_score
+from mapg_jax.runs.finishing import finish
+from mapg_jax.runs.run import Run
+from mapg_jax.runs.signals import caught_signals
+from mapg_jax.runs.train import begin
+from mapg_jax.training import plugins
+from mapg_jax.training.config import PRESETS, preset
+
+EXAMPLE = (
+    "Example: mapg train --env hopper --heads 10 --steps 2000000 --seed 0 --out runs/hopper-m10"
+)
+
+
+def parse(flags: list[str]) -> argparse.Namespace:
+    """The arguments; the other flags depend on --algorithm and --preset."""
+    name, (algorithm, *_) = fields.settle(flags)
+    command = parser("train", EXAMPLE)
+    command.add_argument(
+        "--preset",
+        default="paper",
+        help=f"Where the defaults come from: {', '.join(PRESETS)}.",
+    )
+    command.add_argument(
+        "--out",
+        type=pathlib.Path,
+        help="Run folder, which must not exist or be empty; by default a free number under runs/.",
+    )
+    plugins.add_argument(command)
+    fields.add(command, name, [algorithm], several=False)
+    fields.refuse_foreign_flags(command, flags, [algorithm])
+    return command.parse(flags)
+
+
+def run(arguments: argparse.Namespace, out: TextIO) -> None:
+    """Trains."""
+    given = fields.given(arguments)
+    under_way = refuse_politely(lambda: begin(preset(arguments.preset, **given), arguments.out))
+    take_to_the_end(under_way, out)
+
+
+def take_to_the_end(run: Run, out: TextIO) -> None:
+    """Trains and scores, with a bar, obeying signals."""
+    if not run.finished:
+        with caught_signals() as signals:
+            run.go(signals=signals, progress=True)
+    folder = run.folder
+    print(f"scoring the last policy: {folder.config.final_episodes} episodes", file=sys.stderr)
+    try:
+        score = finish(folder)
+    except KeyboardInterrupt:
+        sys.exit(complain(f"interrupted while scoring; go on with: mapg resume {folder.path}", 130))
+    print_score(score, out)
+    print(f"run folder:     {folder.path}", file=out)
+    print(f"learning curve: {folder.curve}", file=out)

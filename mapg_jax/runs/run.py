@@ -1,0 +1,242 @@
+"""The host's side of a run: between chunks it logs, evaluates, checkpoints and obeys."""
+
+import contextlib
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import pathlib
+
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.member import Member
+from mapg_jax.runs.metrics import MetricsFile, Row
+from mapg_jax.runs.progress import Progress
+from mapg_jax.runs.signals import StoppedError
+from mapg_jax.training.lockstep import Lockstep
+from mapg_jax.training.trainer import Trainer
+
+CHUNK_SECONDS = 1.0  # how often the host looks up
+
+
+class Event(NamedTuple):
+    """What a callback is told."""
+
+    kind: Literal["evaluation", "checkpoint"]
+    path: pathlib.Path  # of the run folder
+    env_steps: int
+    row: Row  # of metrics.csv, at an evaluation; docs/metrics.md
+
+
+Callback = Callable[[Event], object]
+"""Called at every evaluation and checkpoint; one that returns True stops the run."""
+
+
+class Run:
+    """A run under way on the host, or several in lockstep; it counts in the trainer's turns."""
+
+    def __init__(self, program: Lockstep, folders: Sequence[RunFolder]):
+        config = folders[0].config
+        self.program, self.config = program, config
+        self.members = [Member(folder) for folder in folders]
+        self.turn = 0
+        self.last_turn = math.ceil(config.steps / self.trainer.steps_per_turn)
+        self._turns_per_evaluation = max(
+            1, round(config.evaluate_every / self.trainer.steps_per_turn)
+        )
+        self._state: Any = None
+
+    @property
+    def trainer(self) -> Trainer:
+        return self.program.trainer
+
+    @property
+    def folder(self) -> RunFolder:
+        """Of a run alone."""
+        (member,) = self.members
+        return member.folder
+
+    @property
+    def env_steps(self) -> int:
+        """Environment steps taken."""
+        return self.turn * self.trainer.steps_per_turn
+
+    @property
+    def finished(self) -> bool:
+        return self.turn >= self.last_turn
+
+    def restore(self) -> None:
+        """Takes up the newest checkpoints, if there are any; all must be of one step."""
+        (newest,) = {member.checkpoints.newest() for member in self.members}
+        if newest is None:
+            return
+        self.turn = newest // self.trainer.steps_per_turn
+        if self.finished and not all(m.checkpoints.can_go_on() for m in self.members):
+            return  # nothing is left to do with the state
+        shapes = self.program.plain_shapes
+        self._state = self.program.join([m.load(shapes(k)) for k, m in enumerate(self.members)])
+
+    def go(
+        self,
+        callbacks: Sequence[Callback] = (),
+        *,
+        signals: Sequence[int] = (),
+        progress: bool = False,
+    ) -> None:
+        """Runs to the last turn; a member that diverges does not stop the others.
+
+        Args:
+          callbacks: called at every evaluation and checkpoint; one that returns True stops the
+            run, which is saved.
+          signals: what `signals.caught_signals` has caught; the first of them stops the run.
+          progress: whether to show it on standard error.
+
+        Raises:
+          BlockingIOError: if another process trains it.
+          DivergedError: at the first metric or parameter that is not finite, if no run is left.
+          StoppedError: on a signal, once the state is saved.
+        """
+        with contextlib.ExitStack() as stack:
+            for member in self.members:
+                stack.enter_context(member.folder.lock())
+            metrics = [
+                stack.enter_context(contextlib.closing(member.metrics_file(self.env_steps)))
+                for member in self.members
+            ]
+            bar = stack.enter_context(
+                Progress(self.last_turn * self.trainer.steps_per_turn, progress)
+            )
+            self._loop(_Watch(metrics, bar, callbacks, signals))
+
+    def _loop(self, watch: "_Watch") -> None:
+        state, self._state = self._state, None  # its buffers are donated to the first chunk
+        if state is None:
+            state = self.program.init()
+        run = self.program.jitted_run.lower(state, 0).compile()
+        while not self.finished and not watch.stop:
+            done = self.turn % self._turns_per_evaluation
+            due = min(self.turn + self._turns_per_evaluation - done, self.last_turn)
+            turns = min(watch.chunk.turns_ahead(), due - self.turn)
+            begun = time.monotonic()
+            state = run(state, turns)
+            self.turn += turns
+            self._check_finite(state)
+            watch.advanced(self, state, turns, time.monotonic() - begun)
+            if self.turn == due:
+                self._evaluate(state, watch)
+                totals = jax.tree.map(jnp.zeros_like, state.totals)
+                state = state.replace(totals=totals)
+            if self.finished or watch.stop or watch.save_due(self.config.checkpoint_seconds):
+                self._save(state, watch)
+        if watch.signals:
+            raise StoppedError(watch.signals[0], f"mapg resume {self.members[0].folder.path}")
+
+    def _evaluate(self, state: Any, watch: "_Watch") -> None:
+        """A row of metrics.csv for each healthy run."""
+        rate = watch.interval.rate()
+        rows = self._rows(state, rate, watch.seconds())
+        for k, row in rows.items():
+            watch.metrics[k].write(row)
+            watch.call(Event("evaluation", self.members[k].folder.path, self.env_steps, row))
+        watch.evaluated(next(iter(rows.values())), (self.last_turn - self.turn) / rate)
+
+    def _save(self, state: Any, watch: "_Watch") -> None:
+        """A checkpoint of each healthy run."""
+        for k in self._healthy():
+            member = self.members[k]
+            member.save(self.program.plain_state(state, k), watch.seconds())
+            watch.call(Event("checkpoint", member.folder.path, self.env_steps, {}))
+        watch.saved = time.monotonic()
+
+    def _healthy(self) -> list[int]:
+        return [k for k, member in enumerate(self.members) if member.failure is None]
+
+    def _rows(self, state: Any, rate: float, seconds: float) -> dict[int, dict]:
+        keys = self.program.evaluation_keys(self.env_steps)
+        played = jax.device_get(self.program.jitted_evaluation(state.agent, keys))
+        counters = jax.device_get((state.env_steps, state.agent.learner.updates, state.totals))
+        rows = {}
+        for k in self._healthy():
+            of_run, episodes = self.program.of_run((counters, played), k)
+            rows[k] = self.members[k].row(self.trainer, of_run, episodes, rate, seconds)
+        return rows
+
+    def _check_finite(self, state: Any) -> None:
+        fetched = jax.device_get((state.agent.learner, state.diverged_at))
+        for k in self._healthy():
+            learner, diverged_at = self.program.of_run(fetched, k)
+            self.members[k].check_finite(learner, int(diverged_at), self.env_steps)
+        if not self._healthy():
+            raise next(member.failure for member in self.members if member.failure)
+
+
+class _Watch:
+    """What the host keeps an eye on while a run goes: time, files, callbacks and signals."""
+
+    def __init__(
+        self,
+        metrics: Sequence[MetricsFile],
+        bar: Progress,
+        callbacks: Sequence[Callback],
+        signals: Sequence[int],
+    ):
+        self.metrics, self._bar = metrics, bar
+        self._callbacks, self.signals = callbacks, signals
+        self._started = self.saved = time.monotonic()
+        self._learning = self._stopped = False
+        self.chunk, self.interval = Pace(), Pace()
+
+    @property
+    def stop(self) -> bool:
+        """Whether a signal or a callback asks for the end."""
+        return bool(self.signals) or self._stopped
+
+    def seconds(self) -> float:
+        """Of this process."""
+        return time.monotonic() - self._started
+
+    def save_due(self, every: float) -> bool:
+        """Whether the last checkpoint is so many seconds old."""
+        return time.monotonic() - self.saved >= every
+
+    def advanced(self, run: Run, state: Any, turns: int, seconds: float) -> None:
+        """After a chunk."""
+        for pace in (self.chunk, self.interval):
+            pace.add(turns, seconds)
+        self._bar.advance(run.env_steps, self.chunk.rate() * run.trainer.steps_per_turn)
+        if not self._learning and (state.agent.learner.updates > 0).any():
+            self._learning = True
+            self._bar.learning()
+
+    def evaluated(self, row: Row, seconds_left: float) -> None:
+        """After an evaluation; the pace until the next one begins anew."""
+        self._bar.evaluated(row, seconds_left)
+        self.interval = Pace()
+
+    def call(self, event: Event) -> None:
+        """Tells every callback."""
+        answers = [callback(event) for callback in self._callbacks]
+        self._stopped |= any(answer is True for answer in answers)
+
+
+class Pace:
+    """Turns a second, and how many turns make the next chunk."""
+
+    def __init__(self):
+        self._turns, self._seconds, self._ahead = 0, 0.0, 16
+
+    def add(self, turns: int, seconds: float) -> None:
+        """Counts a chunk."""
+        self._turns += turns
+        self._seconds += seconds
+        self._ahead = max(1, round(turns * min(4.0, CHUNK_SECONDS / seconds)))
+
+    def turns_ahead(self) -> int:
+        """Turns that should take a chunk's time, growing fourfold at most."""
+        return self._ahead
+
+    def rate(self) -> float:
+        """Turns per second so far."""
+        return self._turns / self._seconds
