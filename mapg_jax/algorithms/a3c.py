@@ -239,43 +239,43 @@ class A3c:
         return jnp.square(returns - self.value(critic, steps.observation)).mean()
 
     def update(
-        self, state: LearnerState, hyper: Hyperparameters, rollout: Rollout, key: PRNGKeyArray
+        self, learner: LearnerState, hyper: Hyperparameters, batch: Rollout, key: PRNGKeyArray
     ) -> tuple[LearnerState, UpdateMetrics]:
         """One update of actor and critic, both on the advantages of the critic before it.
 
         Args:
-          state: the learner.
+          learner: its state.
           hyper: its numbers.
-          rollout: collected by this actor, observations normalised.
+          batch: collected by this actor, observations normalised.
           key: nothing is drawn.
         """
-        steps = rollout.steps
+        steps = batch.steps
         discount = jnp.where(steps.terminal, 0.0, hyper.discount)
-        next_value = self.value(state.critic, steps.next_observation)
-        returns = n_step_returns(steps.reward, discount, rollout.ended, next_value)
-        value = self.value(state.critic, steps.observation)
+        next_value = self.value(learner.critic, steps.next_observation)
+        returns = n_step_returns(steps.reward, discount, batch.ended, next_value)
+        value = self.value(learner.critic, steps.observation)
 
         (actor_loss, (entropy_mean, action_std)), actor_gradient = jax.value_and_grad(
             self.actor_loss, has_aux=True
-        )(state.actor, steps, returns - value, hyper.entropy_weight)
+        )(learner.actor, steps, returns - value, hyper.entropy_weight)
         critic_loss, critic_gradient = jax.value_and_grad(self.critic_loss)(
-            state.critic, steps, returns
+            learner.critic, steps, returns
         )
         actor, actor_optimizer = descend(
             self.optimizer,
-            state.actor,
+            learner.actor,
             actor_gradient,
-            state.actor_optimizer,
+            learner.actor_optimizer,
             hyper.actor_learning_rate,
         )
         critic, critic_optimizer = descend(
             self.optimizer,
-            state.critic,
+            learner.critic,
             critic_gradient,
-            state.critic_optimizer,
+            learner.critic_optimizer,
             hyper.critic_learning_rate,
         )
-        state = LearnerState(actor, critic, actor_optimizer, critic_optimizer, state.updates + 1)
+        updated = LearnerState(actor, critic, actor_optimizer, critic_optimizer, learner.updates + 1)
         metrics = UpdateMetrics(
             critic_loss=critic_loss,
             actor_loss=actor_loss,
@@ -285,4 +285,4 @@ class A3c:
             critic_gradient_norm=optax.tree.norm(critic_gradient),
             actor_gradient_norm=optax.tree.norm(actor_gradient),
         )
-        return state, metrics
+        return updated, metrics

@@ -53,7 +53,7 @@ class Algorithm(Protocol):
     """
 
     Options: ClassVar[Any]
-    """A dataclass, derived from `options.Options`: its own numbers, beside what all algorithms have."""
+    """A dataclass derived from `options.Options`: its own numbers beside what all have."""
     Hyper: ClassVar[Any]
     """A pytree of the traced numbers, `heads` ([] i32) among them, named as in `Options`: runs that
     differ in these alone can share a compiled program."""

@@ -265,7 +265,7 @@ class Mapg:
 
     def next_value(
         self,
-        state: LearnerState,
+        learner: LearnerState,
         hyper: Hyperparameters,
         observation: Float[Array, "B D"],
         key: PRNGKeyArray,
@@ -273,10 +273,10 @@ class Mapg:
         r"""$V'(s')$ of the target networks: the mean over heads, or that of one head drawn."""
         if self.target == "sampled":
             head = heads_.draw(key, hyper.heads, observation.shape[:1])
-            action = self.action(state.actor_target, observation, head)
-            return self.value(state.critic_target, observation, action)
-        actions = self.actions(state.actor_target, observation)
-        values = self.values(state.critic_target, observation, actions)
+            action = self.action(learner.actor_target, observation, head)
+            return self.value(learner.critic_target, observation, action)
+        actions = self.actions(learner.actor_target, observation)
+        values = self.values(learner.critic_target, observation, actions)
         return heads_.mean(values, hyper.heads)
 
     def critic_loss(
@@ -318,49 +318,49 @@ class Mapg:
         return -self.value(critic, batch.observation, action).mean()
 
     def update(
-        self, state: LearnerState, hyper: Hyperparameters, batch: Transition, key: PRNGKeyArray
+        self, learner: LearnerState, hyper: Hyperparameters, batch: Transition, key: PRNGKeyArray
     ) -> tuple[LearnerState, UpdateMetrics]:
         r"""One update of critic, actor and targets, in the order of Algorithm 1.
 
         Args:
-          state: the learner.
+          learner: its state.
           hyper: its numbers.
           batch: leaves [B, ...], observations normalised.
           key: for the rules that draw heads.
         """
         target_key, head_key = jax.random.split(key)
         discount = jnp.where(batch.terminal, 0.0, hyper.discount)
-        next_value = self.next_value(state, hyper, batch.next_observation, target_key)
+        next_value = self.next_value(learner, hyper, batch.next_observation, target_key)
         target = td_target(batch.reward, discount, next_value)
 
         (critic_loss, q_mean), critic_gradient = jax.value_and_grad(self.critic_loss, has_aux=True)(
-            state.critic, batch, target, hyper.critic_l2
+            learner.critic, batch, target, hyper.critic_l2
         )
         critic, critic_optimizer = descend(
             self.optimizer,
-            state.critic,
+            learner.critic,
             critic_gradient,
-            state.critic_optimizer,
+            learner.critic_optimizer,
             hyper.critic_learning_rate,
         )
         actor_loss, actor_gradient = jax.value_and_grad(self.actor_loss)(
-            state.actor, critic, batch, hyper, head_key
+            learner.actor, critic, batch, hyper, head_key
         )
         actor, actor_optimizer = descend(
             self.optimizer,
-            state.actor,
+            learner.actor,
             actor_gradient,
-            state.actor_optimizer,
+            learner.actor_optimizer,
             hyper.actor_learning_rate,
         )
-        state = LearnerState(
+        updated = LearnerState(
             actor=actor,
             critic=critic,
-            actor_target=_towards(state.actor_target, actor, hyper.tau),
-            critic_target=_towards(state.critic_target, critic, hyper.tau),
+            actor_target=_towards(learner.actor_target, actor, hyper.tau),
+            critic_target=_towards(learner.critic_target, critic, hyper.tau),
             actor_optimizer=actor_optimizer,
             critic_optimizer=critic_optimizer,
-            updates=state.updates + 1,
+            updates=learner.updates + 1,
         )
         metrics = UpdateMetrics(
             critic_loss=critic_loss,
@@ -369,7 +369,7 @@ class Mapg:
             critic_gradient_norm=optax.tree.norm(critic_gradient),
             actor_gradient_norm=optax.tree.norm(actor_gradient),
         )
-        return state, metrics
+        return updated, metrics
 
 
 def _towards(target: Params, params: Params, tau: Float[Array, ""]) -> Params:

@@ -1,0 +1,45 @@
+"""What a run needs of memory, refused before anything is compiled."""
+
+import jax
+import psutil
+
+from mapg_jax.training.config import Config
+from mapg_jax.training.lockstep import Lockstep
+from mapg_jax.training.replay import capacity
+from mapg_jax.training.trainer import tree_bytes
+
+
+def prepare(*configs: Config) -> Lockstep:
+    """The static part of a run, or of several in lockstep, refused before anything is compiled.
+
+    Raises:
+      ValueError: if the environment cannot be made or the buffers do not fit the memory.
+    """
+    program = Lockstep(configs)
+    needed, available = program.bytes, available_bytes()
+    if needed > available:
+        together = f"{len(configs)} runs in lockstep need" if len(configs) > 1 else "the run needs"
+        what, remedy = "", "fewer --environments"
+        replay = program.trainer.shapes.replay
+        if replay is not None and 2 * tree_bytes(replay) > program.trainer.bytes:
+            slots = capacity(replay)
+            what = f", of which the replay of {slots:,} transitions is the most,"
+            remedy = "a smaller --replay-size"
+        elif 2 * tree_bytes(program.trainer.shapes.agent) > program.trainer.bytes:
+            heads = program.trainer.config.heads
+            what = f", of which the networks with {heads:,} heads are the most,"
+            remedy = "fewer --heads, or narrower layers (--hidden)"
+        raise ValueError(
+            f"{together} {needed / 1e9:.1f} GB{what} but {available / 1e9:.1f} GB are available; "
+            f"choose {remedy}"
+        )
+    return program
+
+
+def available_bytes() -> int:
+    """Memory free for the training state: of the accelerator, or of this machine."""
+    device = jax.devices()[0]
+    if device.platform == "cpu":
+        return psutil.virtual_memory().available
+    stats = device.memory_stats() or {}
+    return stats.get("bytes_limit", 2**63) - stats.get("bytes_in_use", 0)

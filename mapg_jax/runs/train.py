@@ -1,0 +1,117 @@
+"""Whole runs from Python: trained, saved and scored."""
+
+import dataclasses
+import math
+import os
+import pathlib
+from collections.abc import Sequence
+from typing import Any
+
+from mapg_jax.runs.finishing import finish
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.memory import prepare
+from mapg_jax.runs.run import Callback, Event, Run
+from mapg_jax.training.config import Config
+
+__all__ = ["Event", "Trained", "begin", "resume", "take_up", "train"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Trained:
+    """A run that has been trained."""
+
+    path: pathlib.Path
+    """Of its run folder."""
+    config: Config
+    score: dict[str, Any]
+    """Of its last policy, as evaluation.json has it (docs/metrics.md): mean, std, returns, …"""
+
+
+def train(
+    config: Config,
+    out: str | os.PathLike | None = None,
+    callbacks: Sequence[Callback] = (),
+    *,
+    progress: bool = False,
+) -> Trained:
+    """Trains a run to its end, saves it, and scores its last policy.
+
+    Args:
+      config: of the run.
+      out: the run folder, which must not exist or be empty; by default the next free number under
+        `runs/`.
+      callbacks: called with an `Event` at every evaluation and checkpoint; one that returns True
+        stops the run, which is saved and scored where it is.
+      progress: whether to show it on standard error.
+
+    Raises:
+      ValueError: if the run cannot be made, before anything is written.
+      DivergedError: at the first metric or parameter that is not finite.
+    """
+    run = begin(config, out)
+    run.go(callbacks, progress=progress)
+    return _finished(run)
+
+
+def resume(
+    path: str | os.PathLike,
+    steps: int | None = None,
+    callbacks: Sequence[Callback] = (),
+    *,
+    progress: bool = False,
+) -> Trained:
+    """Goes on with a run, as if it had not stopped; see `train`.
+
+    Args:
+      path: the run folder.
+      steps: a new total of environment steps; by default that of the run.
+      callbacks: as of `train`.
+      progress: whether to show it on standard error.
+
+    Raises:
+      ValueError: if the folder holds no run, it is past those steps, it cannot be made, or its
+        checkpoint is damaged.
+      BlockingIOError: if another process trains it.
+      DivergedError: at the first metric or parameter that is not finite.
+    """
+    run = take_up(path, steps)
+    if not run.finished:
+        run.go(callbacks, progress=progress)
+    return _finished(run)
+
+
+def begin(config: Config, out: str | os.PathLike | None = None) -> Run:
+    """A new run in a new folder, nothing compiled yet.
+
+    Raises:
+      ValueError: if the run cannot be made, before anything is written.
+    """
+    program = prepare(config)
+    return Run(program, [RunFolder.create(out, config)])
+
+
+def take_up(path: str | os.PathLike, steps: int | None = None) -> Run:
+    """A run from its newest checkpoint, or from the beginning where there is none.
+
+    Raises:
+      ValueError: if the folder holds no run, it is past those steps, it cannot be made, or its
+        checkpoint is damaged.
+      BlockingIOError: if another process trains it.
+    """
+    folder = RunFolder.open(path)
+    folder.lock().close()  # refused before anything is changed
+    if steps is not None:
+        folder = RunFolder(folder.path, dataclasses.replace(folder.config, steps=steps))
+    run = Run(prepare(folder.config), [folder])
+    run.restore()
+    if run.turn > run.last_turn:
+        raise ValueError(
+            f"{path} has {run.env_steps:,} steps already; --steps must be larger to train it further"
+        )
+    if not run.finished:
+        folder.write_config()
+    return run
+
+
+def _finished(run: Run) -> Trained:
+    return Trained(run.folder.path, run.folder.config, finish(run.folder))
