@@ -6,7 +6,6 @@ import os
 import pathlib
 from collections.abc import Mapping
 
-
 Row = Mapping[str, int | float]
 
 
