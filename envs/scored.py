@@ -19,7 +19,7 @@ class ScoredMetric(NamedTuple):
     """The entry of `State.metrics`."""
     title: str
     """In tables, with the unit."""
-    summary: Callable[[np.ndarray], float] = np.mean
+    summary: Callable[[np.ndarray], float | np.floating] = np.mean
     """From the values of all episodes, [episodes], to the number."""
 
     def over(self, values: Sequence[float] | np.ndarray) -> float:

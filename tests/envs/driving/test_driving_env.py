@@ -58,6 +58,9 @@ def driven():
 def test_the_contract():
     env = make()
     assert (env.observation_size, env.action_size, env.backend, env.dt) == (29, 3, "jax", 0.02)
+    last = {"distance": [10.0, 40.0, 130.0], "laps": [0.0, 1.0, 3.0]}  # of three episodes
+    scores = {scored.name: scored.over(last[scored.metric]) for scored in env.scored_metrics}
+    assert scores == {"distance_mean": 60.0, "laps_mean": 4 / 3, "lap_share": 2 / 3}
     assert env.action_high.dtype == np.float32 and (env.action_high == 1).all()
     assert envs.spec("driving").engines == ("jax",)
     state = jax.eval_shape(env.reset, KEY)
