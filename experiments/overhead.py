@@ -67,7 +67,7 @@ class Arm:
     def __call__(self) -> dict[str, str]:
         """Seconds per environment step, its updates included, and per update alone."""
         steps = self.turns * self.config.environments
-        updates = self.repeats * self.config.environments * float(self.trainer.updates_ratio)
+        updates = self.repeats * self.config.environments * float(self.trainer.turn.updates_ratio)
         return {
             "seconds_per_step": f"{self._time(self.trainer.jitted_run, self.turns) / steps:.4g}",
             "seconds_per_update": f"{self._time(self.updates, self.repeats) / updates:.4g}",
@@ -78,7 +78,7 @@ class Arm:
 
         def turn(i, state):
             keys = jax.random.split(jax.random.fold_in(state.key, i))
-            return self.trainer.learn(state, *keys)
+            return self.trainer.turn.learn(state, *keys)
 
         return jax.lax.fori_loop(0, repeats, turn, state)
 
