@@ -76,8 +76,9 @@ def play(
     m = state.hyper.heads
 
     def step(now: _Play) -> _Play:
-        proposals, values = agent.proposals(state, now.env.obs)
-        action = agent.act(state, now.env.obs, jax.random.fold_in(act_key, now.steps), select)
+        observation = jnp.asarray(now.env.obs)
+        proposals, values = agent.proposals(state, observation)
+        action = agent.act(state, observation, jax.random.fold_in(act_key, now.steps), select)
         after = jax.vmap(env.step)(now.env, action)
         return _Play(
             steps=now.steps + 1,
