@@ -27,6 +27,9 @@ from envs.scored import ScoredMetric
 GRASS_FRICTION, GRASS_ROLLING = 0.4, 0.01
 LONGEST_PHYSICS_STEP = 0.005  # s; see `vehicle.step_car`
 
+Values = Any
+"""A JAX array, or a NumPy one where states are recorded, with axes in front: [T], [N]."""
+
 
 class Drive(struct.PyTreeNode):
     """One instance: the car, where it is, and what has been counted since the start."""
@@ -45,22 +48,22 @@ class Drive(struct.PyTreeNode):
     last_lap: jax.Array  # [] s, 0 before the first lap's end
 
     @property
-    def x(self) -> jax.Array:
+    def x(self) -> Values:
         """m"""
         return self.car.x
 
     @property
-    def y(self) -> jax.Array:
+    def y(self) -> Values:
         """m"""
         return self.car.y
 
     @property
-    def heading(self) -> jax.Array:
+    def heading(self) -> Values:
         """rad"""
         return self.car.heading
 
     @property
-    def speed(self) -> jax.Array:
+    def speed(self) -> Values:
         """m/s over the ground."""
         return jnp.sqrt(self.car.velocity_x**2 + self.car.velocity_y**2)
 

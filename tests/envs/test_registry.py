@@ -99,6 +99,7 @@ def test_specs_agree_with_gymnasium(name):
     np.testing.assert_array_equal(-env.action_high, reference.action_space.low)
 
 
+@pytest.mark.usefixtures("their_code")
 @pytest.mark.parametrize(("device", "engine"), [("cpu", "native"), ("gpu", "mjx"), ("tpu", "mjx")])
 def test_auto_takes_the_engine_of_the_device(device, engine, monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: device)
@@ -172,7 +173,7 @@ def test_a_registered_environment_is_made_by_its_name():
         envs.make("my-line_2", engine="mjx")
 
 
-@pytest.mark.usefixtures("registrations")
+@pytest.mark.usefixtures("registrations", "their_code")
 def test_a_registered_task_runs_on_both_engines():
     @dataclasses.dataclass(frozen=True, eq=False)
     class LowHopper(Hopper):
@@ -185,7 +186,7 @@ def test_a_registered_task_runs_on_both_engines():
         assert env.backend == engine and env.task.healthy_z_range == (0.5, 1.5)
 
 
-@pytest.mark.usefixtures("registrations")
+@pytest.mark.usefixtures("registrations", "their_code")
 def test_functions_text_and_braxs_environments_are_registered_too():
     def near(goal: float, *, slack: float = 0.0) -> Line:
         return Line(goal + slack)
@@ -266,6 +267,7 @@ def test_a_broken_package_is_named_and_breaks_nothing_else(installed):
 # ----- what every environment does
 
 
+@pytest.mark.usefixtures("their_code")
 @pytest.mark.parametrize("name", ["pendulum", "driving", "hopper", "brax:fast"])
 def test_actions_of_another_length_are_refused(name):
     env = envs.make(name)
