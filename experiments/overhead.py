@@ -8,13 +8,16 @@ from collections.abc import Callable
 import jax
 import numpy as np
 
+from envs.engines.simulators import cpus
 from experiments import rows
 from experiments.plan import Plan
 from mapg_jax.reports import inference as statistics
+from mapg_jax.reports.document import Table
 from mapg_jax.runs.folder import this_process
 from mapg_jax.runs.signals import StoppedError, caught_signals
 from mapg_jax.training.config import Config
-from mapg_jax.training.trainer import TrainState, make_trainer
+from mapg_jax.training.state import TrainState
+from mapg_jax.training.trainer import make_trainer
 
 TIMES = "overhead.csv"
 
@@ -38,7 +41,7 @@ def time_arms(plan: Plan) -> None:
     where = {
         "date": process["date"],
         "versions": ", ".join(f"{name} {version}" for name, version in packages.items()),
-        "cores": os.cpu_count(),
+        "cores": cpus(),
         "threads": os.environ.get("NPROC", "all"),  # of XLA
         "load": f"{os.getloadavg()[0]:.2f}",  # of the last minute, by others
     }
@@ -110,18 +113,16 @@ def section(plan: Plan) -> str:
     per_step, per_update = (ratios(plan, c) for c in ("seconds_per_step", "seconds_per_update"))
     times = rows.read(plan.measured / TIMES)
     first = times[0]
-    lines = [
-        "| M | µs a step | over M = 1 | µs an update | over M = 1 |",
-        "|---|---|---|---|---|",
-    ]
+    lines = []
     for m in per_step:
         of_m = [row for row in times if row["heads"] == str(m)]
         cells = []
         for column, ratio in (("seconds_per_step", per_step), ("seconds_per_update", per_update)):
             cells.append(f"{1e6 * np.median([float(row[column]) for row in of_m]):.0f}")
             cells.append(f"{statistics.student(ratio[m]):.2f}")
-        lines.append(f"| {m} | {' | '.join(cells)} |")
-    return "\n".join(lines) + (
+        lines.append([str(m), *cells])
+    header = ("M", "µs a step", "over M = 1", "µs an update", "over M = 1")
+    return Table(header, lines).markdown() + (
         f"\n\nHopper, {plan.base.environments} environments, MuJoCo's C engine; threads of XLA: "
         f"{first['threads']}; cores: {first['cores']}; load before it: {first['load']}; "
         f"{first['versions']}; {first['date']}. A step is one environment step with the updates it "
