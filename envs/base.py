@@ -95,7 +95,11 @@ def where_ended(make: Callable[[Any], Any], ended: jax.Array, argument: Any, kep
         def broadcast(x, is_batched):
             return x if is_batched else jnp.broadcast_to(x, (size, *x.shape))
 
-        ended, argument, kept = jax.tree.map(broadcast, arguments, tuple(batched))
+        arguments = jax.tree.map(broadcast, arguments, tuple(batched))
+        if size == 1:  # XLA would take a round that can only be this one out of its loop
+            values = select(*jax.tree.map(lambda x: x[0], arguments))
+            return jax.tree.map(lambda x: x[None], values), jax.tree.map(lambda _: True, values)
+        ended, argument, kept = arguments
         per_round = max(1, round(size * RESETS_PER_ROUND))
 
         def one_round(carry):

@@ -115,9 +115,10 @@ def test_only_instances_that_ended_are_reset(monkeypatch, nested):
     """Rows the engine starts: those that ended, up to a whole round of a sixteenth."""
     env = envs.make("inverted_pendulum", "native")
     wrapped = with_episodes(env, 1000)
-    started, start = [], env.engine._start
+    simulator = env.engine._host._simulator
+    started, start = [], simulator.forward
     monkeypatch.setattr(
-        env.engine, "_start", lambda *rows: started.append(len(rows[0])) or start(*rows)
+        simulator, "forward", lambda rows: started.append(len(rows)) or start(rows)
     )
     keys = jax.random.split(jax.random.key(0), SIZE)
     reset, step = jax.vmap(wrapped.reset), jax.vmap(wrapped.step)
