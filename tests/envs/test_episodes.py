@@ -117,9 +117,7 @@ def test_only_instances_that_ended_are_reset(monkeypatch, nested):
     wrapped = with_episodes(env, 1000)
     simulator = env.engine._host._simulator
     started, start = [], simulator.forward
-    monkeypatch.setattr(
-        simulator, "forward", lambda rows: started.append(len(rows)) or start(rows)
-    )
+    monkeypatch.setattr(simulator, "forward", lambda rows: started.append(len(rows)) or start(rows))
     keys = jax.random.split(jax.random.key(0), SIZE)
     reset, step = jax.vmap(wrapped.reset), jax.vmap(wrapped.step)
     if nested:
