@@ -98,11 +98,12 @@ def _handler(function: HostFunction) -> Any:
             version.major, version.minor = MAJOR, MINORS[0]
             return None
         try:
-            arguments = [_array(frame.arguments.buffers[i]) for i in range(frame.arguments.size)]
+            buffers, results = frame.arguments.buffers, frame.results.buffers
+            arguments = [_array(buffers[i]) for i in range(frame.arguments.size)]
             for argument in arguments:
-                argument.flags.writeable = False
+                argument.setflags(write=False)
             for i, value in enumerate(function(*arguments)):
-                array = _array(frame.results.buffers[i])
+                array = _array(results[i])
                 if (array.shape, array.dtype) != (value.shape, value.dtype):
                     raise ValueError(
                         f"result {i} must be {array.dtype} {array.shape}, "

@@ -5,6 +5,7 @@ numbers; the task's lines run in float64 too and are rounded to float32 once.
 """
 
 import copy
+import functools
 import hashlib
 import threading
 
@@ -104,22 +105,17 @@ def host_task(task: MujocoTask) -> HostTask:
 
 
 def _digest(task: MujocoTask) -> str | None:
-    """Of all that makes a task what it is, the same in every process; None where it holds objects
-    that cannot be told apart by their values."""
+    """Of all that tells tasks apart, the same in every process; None for one that holds objects."""
     digest = hashlib.sha256(f"{type(task).__module__}.{type(task).__qualname__}".encode())
     for name, value in sorted(vars(task).items()):
-        if isinstance(value, mujoco.MjModel):
-            size = mujoco.mj_sizeModel(value)
-            content = np.empty(size, np.uint8)
-            mujoco.mj_saveModel(value, None, content)
-        elif isinstance(value, np.ndarray) and value.dtype != object:
-            content = value
-        elif _is_plain(value):
-            content = np.array(repr(value))
-        else:
+        if isinstance(getattr(type(task), name, None), functools.cached_property):
+            continue  # it follows from the others
+        if not _is_plain(value):
             return None
-        digest.update(f"{name} {content.dtype} {content.shape}".encode())
-        digest.update(np.ascontiguousarray(content))
+        digest.update(f"{name}={value!r};".encode())
+    content = np.empty(mujoco.mj_sizeModel(task.model), np.uint8)
+    mujoco.mj_saveModel(task.model, None, content)
+    digest.update(content)
     return digest.hexdigest()[:16]
 
 
