@@ -55,7 +55,7 @@ def host_call(
     if name is None or not interface_is_known():
         return callback(*arguments)
     foreign = jax.ffi.ffi_call(_target(name, function), result, vmap_method="broadcast_all")
-    return jax.lax.platform_dependent(*arguments, cpu=foreign, default=callback)
+    return tuple(jax.lax.platform_dependent(*arguments, cpu=foreign, default=callback))
 
 
 @functools.cache
@@ -121,8 +121,9 @@ def _array(buffer: Any) -> np.ndarray:
     """The memory of a buffer, as it is."""
     buffer = buffer.contents
     shape, dtype = buffer.dims[: buffer.rank], _DTYPES[buffer.dtype]
-    memory = ctypes.c_char * (math.prod(shape) * dtype.itemsize)
-    return np.ndarray(shape, dtype, memory.from_address(buffer.data or 0))
+    size = math.prod(shape) * dtype.itemsize
+    memory: Any = (ctypes.c_char * size).from_address(buffer.data or 0)
+    return np.ndarray(shape, dtype, memory)
 
 
 def _error(frame: "_CallFrame", message: str) -> int:

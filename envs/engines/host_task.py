@@ -115,7 +115,7 @@ def _digest(task: MujocoTask) -> str | None:
         digest.update(f"{name}={value!r};".encode())
     content = np.empty(mujoco.mj_sizeModel(task.model), np.uint8)
     mujoco.mj_saveModel(task.model, None, content)
-    digest.update(content)
+    digest.update(content.tobytes())
     return digest.hexdigest()[:16]
 
 
