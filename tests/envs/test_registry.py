@@ -234,15 +234,15 @@ def test_what_is_made_must_be_an_environment():
 
 def test_an_installed_package_names_an_environment(installed):
     module = installed(
-        "far-line",
+        "moon",
         "import envs\n"
-        "from test_registry import Line\n"
-        "envs.register('far-line', lambda goal=9.0: Line(goal), time_limit=3)\n",
+        "from envs.pendulum import Pendulum\n"
+        "envs.register('moon', lambda g=1.6: Pendulum(g), time_limit=3)\n",
     )
-    assert envs.names()[-1] == "far-line"
+    assert envs.names()[-1] == "moon"
     assert module not in sys.modules
-    assert envs.spec("far-line").time_limit == 3
-    assert envs.make("far-line").goal == 9
+    assert envs.spec("moon").time_limit == 3
+    assert envs.make("moon").g == 1.6
 
 
 def test_a_broken_package_is_named_and_breaks_nothing_else(installed):
