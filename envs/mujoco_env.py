@@ -1,7 +1,6 @@
 """A MuJoCo task on a physics engine, as a `brax.envs.base.Env`."""
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
@@ -56,7 +55,7 @@ class MujocoEnv(Env):
         return self._first(*self.engine.reset_to(qpos, qvel))
 
     def step(self, state: State, action: Action) -> State:
-        control = jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0) * self.action_high
+        control = self.clipped(action) * self.action_high
         pipeline_state, outcome = self.engine.step(state.pipeline_state, control)
         return state.replace(
             pipeline_state=pipeline_state,
