@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from mapg_jax.runs.checkpoints import Checkpoints
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.metrics import MetricsFile, cut_metrics
 from mapg_jax.training.evaluation import Episodes, summarize
 from mapg_jax.training.state import Totals
 from mapg_jax.training.trainer import Trainer
-from mapg_jax.runs.folder import RunFolder
-from mapg_jax.runs.metrics import MetricsFile, cut_metrics
 
 DIVERGED = "a loss or parameter is no longer finite"
 

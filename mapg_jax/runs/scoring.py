@@ -10,11 +10,11 @@ import jax
 import numpy as np
 
 import envs
-from mapg_jax.training.evaluation import play, summarize
-from mapg_jax.training.trainer import tree_bytes
+from mapg_jax.runs.folder import RunFolder, write_json
 from mapg_jax.runs.memory import available_bytes
 from mapg_jax.runs.policy import Policy, open_policy
-from mapg_jax.runs.folder import RunFolder, write_json
+from mapg_jax.training.evaluation import play, summarize
+from mapg_jax.training.trainer import tree_bytes
 
 GYMNASIUM_BYTES = 1_000_000
 """Of one environment, about: a MuJoCo model and its data."""
