@@ -14,17 +14,18 @@ from mapg_jax.reports.results import (
     Result,
     UnfinishedError,
     append_csv,
-    compared_settings,
     find_runs,
     merge,
     read_csv,
     read_curve,
     read_run,
+    run_key,
     separate,
     settings,
+    sort_settings,
 )
 from mapg_jax.runs.folder import RunFolder, write_json
-from mapg_jax.training.config import Config
+from mapg_jax.training.config import PRESETS, Config, preset
 
 RESULT = oracles.result()
 
@@ -49,12 +50,12 @@ def test_a_run_that_was_trained_and_scored_is_read(finished_run, tmp_path):
     with pytest.raises(UnfinishedError, match=r"it has no evaluation\.json"):
         read_run(finished_run)
     path = shutil.copytree(finished_run.path, tmp_path / "run")
-    score = mapg_jax.evaluate(path, episodes=3, select="mean")
+    score = mapg_jax.evaluate(path)
     result = read_run(path)
     assert result.return_mean == score["mean"]
     assert result.return_std == score["std"]
     assert result[:5] == ("pendulum", "mapg", 3, oracles.RUN.seed, 800)
-    assert (result.episodes, result.select, result.physics) == (3, "mean", "jax")
+    assert (result.episodes, result.select, result.physics) == (3, "uniform", "jax")
     assert result.seconds > 0
 
 
@@ -187,7 +188,7 @@ BAD_ROWS = [
     ),
     (
         ",".join(Result._fields) + "\n" + ",".join(["1"] * 18),
-        "row 2: algorithm must be one of ddpg, mapg, a3c, got '1'",
+        "row 2: no algorithm with M = 1 is called '1'",
     ),
     ('"a', "is no CSV"),
 ]
@@ -217,7 +218,35 @@ def test_mixed_protocols_are_apart_and_arms_of_one_together():
         RESULT._replace(versions="gymnasium 2.0"),
     ]
     assert list(separate(arms + others).values()) == [arms, *([other] for other in others)]
-    assert compared_settings(others[1]) == "noise=none"
+    assert sort_settings(others[1]) == ("paper", "batch_size=8", "noise=none")
+
+
+@pytest.mark.parametrize("algorithm", ["mapg", "a3c"])
+@pytest.mark.parametrize("name", PRESETS)
+def test_settings_are_told_from_the_nearest_preset(name, algorithm):
+    def sorted_settings(**changes):
+        config = preset(name, algorithm, **changes)
+        return sort_settings(RESULT._replace(**run_key(config)._asdict()))
+
+    assert sorted_settings(steps=7, evaluation_episodes=3) == (name, "", "")
+    changes = {"discount": 0.9, "critic_learning_rate": 0.5}
+    assert sorted_settings(**changes) == (name, "discount=0.9", "critic_learning_rate=0.5")
+    assert sorted_settings(hidden=(9, 9)) == (name, "hidden=9,9", "")
+
+
+def test_a_field_that_has_the_papers_value_again_is_a_change_of_the_preset():
+    config = preset("parallel", hidden=(64, 64))
+    result = RESULT._replace(**run_key(config)._asdict())
+    assert sort_settings(result) == ("parallel", "hidden=64,64", "")
+
+
+def test_a_run_has_one_identity():
+    config = Config(env="hopper", heads=10, seed=3, steps=1000, noise="none")
+    assert run_key(config) == ("hopper", "mapg", 10, 3, 1000, "noise=none")
+    assert run_key(config) == RESULT._replace(seed=3, settings="noise=none").run
+    for other in ({"seed": 4}, {"heads": 9}, {"steps": 5}, {"env": "swimmer"}, {"tau": 0.5}):
+        assert run_key(dataclasses.replace(config, **other)) != run_key(config)
+    assert run_key(dataclasses.replace(config, evaluate_every=7)) == run_key(config)
 
 
 def test_a_run_found_twice_counts_once():
