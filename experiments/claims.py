@@ -253,7 +253,7 @@ def _count(*numbers) -> str:
 def _lap_shares(plan: Plan, changes: Changes) -> list[float]:
     """Of every seed, the share of the episodes that complete a lap."""
     found = scores.of(plan, torcs.arm(plan, changes))
-    return [result.lap_share for result in found if result.lap_share is not None]
+    return [result.metrics["lap_share"] for result in found if result.metrics]
 
 
 def _shares(shares: Sequence[float]) -> str:

@@ -44,9 +44,9 @@ def _seed(label: str, result: Result) -> list[str]:
     return [
         label,
         str(result.seed),
-        f"{result.distance_mean:.0f}",
-        f"{result.laps_mean:.1f}",
-        f"{result.lap_share:.0%}",
+        f"{result.metrics['distance_mean']:.0f}",
+        f"{result.metrics['laps_mean']:.1f}",
+        f"{result.metrics['lap_share']:.0%}",
         f"{result.return_mean:.0f}",
         "",
     ]
@@ -55,7 +55,7 @@ def _seed(label: str, result: Result) -> list[str]:
 def _mean(label: str, found: Sequence[Result]) -> list[str]:
     if not found:
         return [f"**{label}**", "", "missing", "", "", "", str(PAPER[label])]
-    columns = [[getattr(r, c) for r in found] for c in ("distance_mean", "laps_mean", "lap_share")]
+    columns = [[r.metrics[c] for r in found] for c in ("distance_mean", "laps_mean", "lap_share")]
     distance, laps, share = map(statistics.mean, columns)
     score = statistics.mean([result.return_mean for result in found])
     return [

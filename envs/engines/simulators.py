@@ -31,11 +31,11 @@ class BatchSimulator:
 
     def __init__(self, model: mujoco.MjModel, fields: tuple[str, ...]):
         self._model, self._fields = model, fields
-        self._batches: dict[int, tuple[Batch, Fields]] = {}
+        self._batches: dict[int, tuple[Batch, np.ndarray, Fields]] = {}
 
     def forward(self, rows: Rows) -> tuple[Rows, Fields]:
         """All that `mj_forward` derives from the rows."""
-        batch, fields = self._batch(len(rows))
+        batch, _, fields = self._batch(len(rows))
         batch.state[:] = rows
         batch.forward()
         return batch.state, fields
@@ -44,17 +44,18 @@ class BatchSimulator:
         self, rows: Rows, control: Float32[np.ndarray, "N A"], frames: int
     ) -> tuple[Rows, Fields]:
         """The rows after `frames` physics steps, and the fields as they leave them."""
-        batch, fields = self._batch(len(rows))
+        batch, batch_control, fields = self._batch(len(rows))
         batch.state[:] = rows
-        batch.ctrl = control
+        batch_control[:] = control
         batch.step(nstep=frames)
         return batch.state, fields
 
-    def _batch(self, size: int) -> tuple[Batch, Fields]:
+    def _batch(self, size: int) -> tuple[Batch, np.ndarray, Fields]:
+        """The batch, its control and its fields; both are views, which binding anew makes slow."""
         if size not in self._batches:
             batch = Batch(self._model, size, nthread=min(size, cpus()))
-            # Views, filled by every call from now on.
-            self._batches[size] = batch, {name: batch.bind(name) for name in self._fields}
+            fields = {name: batch.bind(name) for name in self._fields}
+            self._batches[size] = batch, batch.bind("ctrl"), fields
         return self._batches[size]
 
 

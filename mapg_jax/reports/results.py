@@ -10,6 +10,7 @@ import math
 import os
 import pathlib
 import shlex
+import types
 import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -59,14 +60,16 @@ class Result(NamedTuple):
     seconds: float  # of training, by the wall clock
     date: str  # UTC day of the run's last command
     command: str
-    distance_mean: float | None = None  # driving: m an episode
-    laps_mean: float | None = None  # driving: an episode
-    lap_share: float | None = None  # driving: share of the episodes with a lap or more
+    metrics: Mapping[str, float] = types.MappingProxyType({})  # the environment's own numbers
 
     @property
     def run(self) -> RunKey:
         """What tells it from every other one."""
         return RunKey(*(getattr(self, name) for name in RunKey._fields))
+
+
+COLUMNS = Result._fields[:-1]
+"""Of a CSV file of results, before those of the environments' own metrics."""
 
 
 class Protocol(NamedTuple):
@@ -119,7 +122,7 @@ def read_scored(folder: RunFolder) -> tuple[Result, dict[str, Any]]:
             physics=str(score["physics"]),
             seconds=round(last["seconds"], 1),
             **origin,
-            **_driving(score.get("metrics", {})),
+            metrics=_summed_up(config, score.get("metrics", {})),
         )
         scored = int(score.get("env_steps", config.steps))
     if scored < config.steps:
@@ -276,12 +279,12 @@ def read_csv(path: str | os.PathLike) -> list[Result]:
     if not path.exists():
         return []
     header, rows = csv_file.read(path)
-    if tuple(header) != Result._fields:
+    if tuple(header[: len(COLUMNS)]) != COLUMNS:
         raise ValueError(
             f"{path} is no CSV of results: its columns are {','.join(header)[:200]}, "
-            f"not {','.join(Result._fields)}"
+            f"not {','.join(COLUMNS)}"
         )
-    return [_parse(row, f"{path}, row {number}") for number, row in enumerate(rows, 2)]
+    return [_parse(header, row, f"{path}, row {number}") for number, row in enumerate(rows, 2)]
 
 
 def append_csv(path: str | os.PathLike, results: Sequence[Result]) -> None:
@@ -293,24 +296,26 @@ def append_csv(path: str | os.PathLike, results: Sequence[Result]) -> None:
     path = pathlib.Path(path)
     rows = merge(itertools.chain(read_csv(path), results))
     path.parent.mkdir(parents=True, exist_ok=True)
-    csv_file.write(path, Result._fields, rows)
+    own = list(dict.fromkeys(name for result in rows for name in result.metrics))
+    cells = ([*result[:-1], *(result.metrics.get(name, "") for name in own)] for result in rows)
+    csv_file.write(path, [*COLUMNS, *own], cells)
 
 
-def _parse(row: Sequence[str], where: str) -> Result:
-    """Texts as the types of the fields."""
+def _parse(header: Sequence[str], row: Sequence[str], where: str) -> Result:
+    """Texts as the types of the fields; further columns are numbers of some environment."""
     hints = typing.get_type_hints(Result)
-    if len(row) != len(hints):
-        raise ValueError(f"{where} has {len(row)} cells, not {len(hints)}")
-    values = []
-    for (name, hint), text in zip(hints.items(), row, strict=True):
+    if len(row) != len(header):
+        raise ValueError(f"{where} has {len(row)} cells, not {len(header)}")
+    values: dict[str, Any] = {"metrics": {}}
+    for name, text in zip(header, row, strict=True):
         try:
-            if hint in (str, int):
-                values.append(hint(text))
-            else:
-                values.append(_finite(text) if text or hint is float else None)
+            if name in COLUMNS:
+                values[name] = _finite(text) if hints[name] is float else hints[name](text)
+            elif text:
+                values["metrics"][name] = _finite(text)
         except ValueError:
             raise ValueError(f"{where}: {name} is no number: {text!r}") from None
-    result = Result(*values)
+    result = Result(**values)
     try:
         registry.of_slug(result.algorithm, result.heads)
     except ValueError as error:
@@ -346,14 +351,11 @@ def _finite(value: str | int | float) -> float:
     return number
 
 
-def _driving(metrics: dict[str, list[float]]) -> dict[str, Any]:
-    found = {}
-    if "distance" in metrics:
-        found["distance_mean"] = float(np.mean(metrics["distance"]))
-    if "laps" in metrics:
-        found["laps_mean"] = float(np.mean(metrics["laps"]))
-        found["lap_share"] = float(np.mean(np.array(metrics["laps"]) >= 1))
-    return found
+def _summed_up(config: Config, metrics: Mapping[str, list[float]]) -> dict[str, float]:
+    """The numbers that the environment has of its own, over the episodes of a score."""
+    if not metrics:
+        return {}
+    return {own.name: own.over(metrics[own.metric]) for own in config.make_env().scored_metrics}
 
 
 def _text(value: Any) -> str:

@@ -5,11 +5,12 @@ import dataclasses
 import io
 import math
 import shlex
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+import envs
 from mapg_jax.algorithms import registry
 from mapg_jax.algorithms.mapg import Mapg
 from mapg_jax.reports import inference as statistics
@@ -101,13 +102,13 @@ def cells(results: Iterable[Result]) -> list[Cell]:
 
 
 def tables(results: Sequence[Result]) -> list[Table]:
-    """Scores by task and arm, missing ones too; the mean over tasks; driving's metrics."""
+    """Scores by task and arm, missing ones too; the mean over tasks; the environments' own."""
     found = {(cell.env, cell.arm): cell for cell in cells(results)}
-    envs = sorted({env for env, _ in found})
+    tasks = sorted({env for env, _ in found})
     arms = sorted({arm for _, arm in found}, key=lambda arm: arm.rank)
-    rows = [[env, arm.name, *_texts(found.get((env, arm)), arm)] for env in envs for arm in arms]
+    rows = [[env, arm.name, *_texts(found.get((env, arm)), arm)] for env in tasks for arm in arms]
     header = ("task", "arm", "n", "mean ± 3σ", "mean", "IQM", "median", "P over DDPG", "P is")
-    further = (over_tasks(results), driving(results))
+    further = (over_tasks(results), *own_numbers(results))
     return [Table(header, rows), *(table for table in further if table.rows)]
 
 
@@ -147,21 +148,25 @@ def table_csv(results: Iterable[Result]) -> str:
     return file.getvalue()
 
 
-def driving(results: Iterable[Result]) -> Table:
-    """Distance and laps, where the runs have them."""
-    rows = []
+def own_numbers(results: Iterable[Result]) -> list[Table]:
+    """For each task whose environment counts more than the return, what it counts."""
+    found: dict[str, list[list[str]]] = {}
+    titles: dict[str, dict[str, str]] = {}
     for (env, arm), of_cell in by_cell(results).items():
-        metrics = [
-            [r.distance_mean, r.laps_mean, r.lap_share]
-            for r in of_cell
-            if r.distance_mean is not None
-        ]
-        if metrics:
-            estimates = [statistics.mean(values) for values in np.array(metrics, float).T]
-            distance, laps, share = estimates
-            texts = (_number(distance), _share(laps), _share(share))
-            rows.append([env, arm.name, str(len(metrics)), *texts])
-    return Table(("task", "arm", "n", "distance, m", "laps", "episodes with a lap"), rows)
+        counted = [result.metrics for result in of_cell if result.metrics]
+        if counted:
+            titles.setdefault(env, _titles(env, counted[0]))
+            estimates = [statistics.mean([m[name] for m in counted]) for name in titles[env]]
+            row = [env, arm.name, str(len(counted)), *map(_plain, estimates)]
+            found.setdefault(env, []).append(row)
+    return [Table(("task", "arm", "n", *titles[env].values()), rows) for env, rows in found.items()]
+
+
+def _titles(env: str, metrics: Mapping[str, float]) -> dict[str, str]:
+    """The titles of an environment's numbers, as it gives them."""
+    constructor = envs.spec(env).load()
+    titles = {own.name: own.title for own in getattr(constructor, "scored_metrics", ())}
+    return {name: titles.get(name, name) for name in metrics}
 
 
 def _texts(cell: Cell | None, arm: Arm) -> list[str]:
@@ -191,6 +196,10 @@ def _number(estimate: Estimate) -> str:
 
 def _share(estimate: Estimate) -> str:
     return _with_interval(estimate, lambda x: f"{x:.2f}")
+
+
+def _plain(estimate: Estimate) -> str:
+    return _with_interval(estimate, lambda x: f"{x:,.0f}" if abs(x) >= 100 else f"{x:.2f}")
 
 
 def _with_interval(estimate: Estimate, text: Callable[[float], str]) -> str:

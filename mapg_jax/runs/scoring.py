@@ -108,7 +108,10 @@ def _in_jax(folder, policy: Policy, episodes, physics, select, seed):
     extra: dict[str, Any] = {
         k: float(v) if math.isfinite(v) else None for k, v in played.heads._asdict().items()
     }
-    scored = {k: np.asarray(played.metrics[k]).tolist() for k in env.scored_metrics}
+    scored = {
+        scored.metric: np.asarray(played.metrics[scored.metric]).tolist()
+        for scored in env.scored_metrics
+    }
     if scored:
         extra["metrics"] = scored
     return env.backend, np.asarray(played.returns), np.asarray(played.lengths), extra

@@ -39,7 +39,7 @@ class Worker:
         imports = [f"--import={module}" for module in plugins.loaded()]
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
-                # -P: what lies in the working folder does not hide what is installed.
+                # -P: a folder `envs` in the working folder would be imported for ours.
                 [sys.executable, "-P", "-m", WORKER, *flags, *imports, *folders],
                 stdin=subprocess.PIPE,  # its end tells the worker that this process is gone
                 stdout=log,

@@ -95,7 +95,7 @@ REFUSALS = [
     ("report older", "older is a run folder of format 1, and this version reads format 2"),
     ("resume damaged", "800 is damaged"),
     ("resume run --steps 0", "steps must be at least 1, got 0"),
-    ("resume run --steps 100", "run has 800 steps already; --steps must be larger"),
+    ("resume run --steps 100", "run has 800 steps already, more than 100; --steps with a larger"),
     ("resume held --steps 2000", "another process trains held"),
     ("evaluate nowhere", "there is no run folder nowhere"),
     ("evaluate fresh", "fresh has no complete checkpoint"),
@@ -206,7 +206,7 @@ def test_train_then_resume_then_evaluate(mapg, contents, tmp_path):
     assert "runs/mine is finished: 400 steps" in out
     status, out, err = mapg("resume", "runs/mine", "--steps", 100)
     assert (status, out) == (2, "")
-    assert "runs/mine has 400 steps already; --steps must be larger" in err
+    assert "runs/mine has 400 steps already, more than 100; --steps with a larger" in err
     assert contents() == before
 
     status, out, err = mapg("evaluate", "runs/mine", "--json", "--episodes", 5)

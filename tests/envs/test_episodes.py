@@ -92,11 +92,12 @@ def test_countdown_episodes_are_the_oracles(make_key):
     assert len(np.unique(tags)) == len(tags)
 
 
-def test_native_episodes_are_the_oracles():
+@pytest.mark.parametrize("size", [1, 5])
+def test_native_episodes_are_the_oracles(size):
     env = envs.make("hopper", "native")
     rng = np.random.default_rng(0)
-    actions = rng.uniform(-1, 1, (5, 60, env.action_size)).astype(np.float32)
-    assert_is_the_oracle(env, 25, jax.random.split(jax.random.key(1), 5), actions)
+    actions = rng.uniform(-1, 1, (size, 60, env.action_size)).astype(np.float32)
+    assert_is_the_oracle(env, 25, jax.random.split(jax.random.key(1), size), actions)
 
 
 def test_nested_batches_are_flat_batches():
@@ -110,33 +111,33 @@ def test_nested_batches_are_flat_batches():
         np.testing.assert_array_equal(got.reshape(expected.shape), expected)
 
 
-@pytest.mark.parametrize("nested", [False, True])
-def test_only_instances_that_ended_are_reset(monkeypatch, nested):
+@pytest.mark.parametrize("shape", [(SIZE,), (4, SIZE // 4), (1,), (SIZE, 1)])
+def test_only_instances_that_ended_are_reset(monkeypatch, shape):
     """Rows the engine starts: those that ended, up to a whole round of a sixteenth."""
     env = envs.make("inverted_pendulum", "native")
     wrapped = with_episodes(env, 1000)
-    started, start = [], env.engine._start
-    monkeypatch.setattr(
-        env.engine, "_start", lambda *rows: started.append(len(rows[0])) or start(*rows)
-    )
-    keys = jax.random.split(jax.random.key(0), SIZE)
-    reset, step = jax.vmap(wrapped.reset), jax.vmap(wrapped.step)
-    if nested:
-        keys, reset, step = keys.reshape(4, -1), jax.vmap(reset), jax.vmap(step)
+    simulator = env.engine._host._simulator
+    started, start = [], simulator.forward
+    monkeypatch.setattr(simulator, "forward", lambda rows: started.append(len(rows)) or start(rows))
+    keys = jax.random.split(jax.random.key(0), shape)
+    reset, step = wrapped.reset, wrapped.step
+    for _ in shape:
+        reset, step = jax.vmap(reset), jax.vmap(step)
     state, step = reset(keys), jax.jit(step)
     rng = np.random.default_rng(0)
     ended_in_all = 0
     for _ in range(60):
-        actions = rng.uniform(-1, 1, (*keys.shape, 1)).astype(np.float32)
+        actions = rng.uniform(-1, 1, (*shape, 1)).astype(np.float32)
         jax.block_until_ready(state)
         started.clear()
         state = jax.block_until_ready(step(state, actions))
-        ended = np.asarray(state.done).sum(-1).astype(int)  # of each group where nested
-        per_round = max(1, keys.shape[-1] // 16)
+        group = SIZE if shape[-1] == 1 < len(shape) else shape[-1]  # groups of one are one group
+        ended = np.asarray(state.done).reshape(-1, group).sum(-1).astype(int)
+        per_round = max(1, group // 16)
         rounds = -(-ended.max() // per_round)
         assert sum(started) == rounds * per_round * ended.size
         ended_in_all += ended.sum()
-    assert ended_in_all > SIZE
+    assert ended_in_all > keys.size
 
 
 def test_a_reset_renews_the_environments_own_info_and_no_wrappers():

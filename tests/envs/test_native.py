@@ -1,14 +1,23 @@
 """The native engine is Gymnasium, to the last bit, one instance or many."""
 
+import dataclasses
 import functools
+import gc
+import subprocess
+import sys
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 import scipy.stats
 
 import envs
+from envs.engines import host_call
+from envs.engines.native import NativeEngine
+from envs.mujoco_tasks.hopper import Hopper
+from envs.mujoco_tasks.inverted_pendulum import InvertedPendulum
 
 NAMES = [name for name in envs.names() if "native" in envs.spec(name).engines]
 TRAVELLERS = ["hopper", "walker2d", "halfcheetah", "swimmer", "humanoid", "ant"]
@@ -252,3 +261,117 @@ def test_asymmetric_controls_are_refused(tmp_path):
     """)
     with pytest.raises(ValueError, match="control ranges must be symmetric"):
         envs.make("inverted_pendulum", "native", xml_file=str(model))
+
+
+def test_an_action_that_is_no_number_leaves_no_file(tmp_path, monkeypatch, capfd):
+    """MuJoCo warns, resets the simulation and goes on, and would keep a log in the folder."""
+    monkeypatch.chdir(tmp_path)
+    env = make("hopper", "native")
+    state = jax.jit(env.reset)(jax.random.key(0))
+    after = jax.jit(env.step)(state, np.full(3, np.nan, np.float32))
+    assert np.isfinite(after.obs).all()
+    assert "Nan, Inf or huge value in CTRL" in "".join(capfd.readouterr())
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["halfcheetah", "ant"])
+def test_the_host_is_called_alike_both_ways(name, monkeypatch):
+    env = make(name, "native")
+    keys = jax.random.split(jax.random.key(0), 3)
+    actions = np.random.default_rng(0).uniform(-1, 1, (3, env.action_size)).astype(np.float32)
+
+    def run(keys, actions):
+        states = jax.vmap(env.reset)(keys)
+        step = lambda _, states: jax.vmap(env.step)(states, actions)  # noqa: E731
+        return jax.lax.fori_loop(0, 20, step, states)
+
+    foreign = jax.jit(run).lower(keys, actions)
+    monkeypatch.setattr(host_call, "interface_is_known", lambda: False)
+    callback = jax.jit(lambda *arguments: run(*arguments)).lower(keys, actions)
+    assert "python_cpu_callback" not in foreign.as_text()
+    assert "python_cpu_callback" in callback.as_text()
+    jax.tree.map(
+        np.testing.assert_array_equal,
+        foreign.compile()(keys, actions),
+        callback.compile()(keys, actions),
+    )
+
+
+def test_an_engines_errors_reach_the_user(monkeypatch):
+    env = envs.make("hopper", "native", frame_skip=3)
+
+    def fail(*_):
+        raise RuntimeError("the simulation broke")
+
+    monkeypatch.setattr(env.engine._host._simulator, "step", fail)
+    state = env.reset(jax.random.key(0))
+    with pytest.raises(jax.errors.JaxRuntimeError, match="RuntimeError: the simulation broke"):
+        jax.block_until_ready(jax.jit(env.step)(state, np.zeros(3, np.float32)))
+
+
+def test_equal_tasks_are_one_on_the_host_and_others_are_not():
+    def host(task):
+        return NativeEngine(task)._host
+
+    first = host(Hopper())
+    targets = len(host_call._handlers)
+    for _ in range(3):
+        env = envs.make("hopper", "native")
+        env.step(env.reset(jax.random.key(0)), np.zeros(3, np.float32))
+        assert env.engine._host is first
+    assert len(host_call._handlers) <= targets + 2  # reset and step, unless they were known
+
+    heavier = Hopper()
+    heavier.model.body_mass[1] *= 2
+    again = dataclasses.make_dataclass("Hopper", [], bases=(Hopper,), frozen=True, eq=False)
+    again.__module__, again.__qualname__ = Hopper.__module__, Hopper.__qualname__
+    others = [Hopper(healthy_reward=2.0), heavier, again(), InvertedPendulum()]
+    hosts = [host(task) for task in others]
+    names = {first.name, *(other.name for other in hosts)}
+    assert len(names) == 1 + len(others)
+    assert [host(task) for task in others] == hosts
+
+
+def test_a_change_of_the_model_changes_no_engine_made_before():
+    task = InvertedPendulum()
+    engine, key = NativeEngine(task), jax.random.key(0)
+    control = jnp.ones(1)
+    before = engine.step(engine.reset(key)[0], control)[0]
+    task.model.opt.gravity[2] = 0.0
+    np.testing.assert_array_equal(engine.step(engine.reset(key)[0], control)[0], before)
+    changed = NativeEngine(task)
+    assert not np.array_equal(changed.step(changed.reset(key)[0], control)[0], before)
+
+
+def test_a_task_that_holds_objects_is_not_mistaken_for_another():
+    @dataclasses.dataclass(frozen=True, eq=False)
+    class Paid(InvertedPendulum):
+        pay: object = None
+
+        def reward(self, xp, anchor, physics, control):
+            reward, metrics = super().reward(xp, anchor, physics, control)
+            return self.pay(reward), metrics
+
+    for factor in (2.0, 3.0):
+        engine = NativeEngine(Paid(pay=lambda reward, factor=factor: factor * reward))
+        bits, _ = engine.reset(jax.random.key(0))
+        assert jax.jit(engine.step)(bits, jnp.zeros(1))[1].reward == factor
+
+
+def test_a_program_outlives_its_engine():
+    env = envs.make("inverted_pendulum", "native", frame_skip=4)
+    state, action = env.reset(jax.random.key(0)), np.zeros(1, np.float32)
+    expected = env.step(state, action)
+    program = jax.jit(env.step).lower(state, action).compile()
+    del env
+    gc.collect()
+    jax.tree.map(np.testing.assert_array_equal, program(state, action), expected)
+
+
+def test_the_hosts_name_is_the_same_in_every_process():
+    """Compiled programs hold it, and are found again in JAX's persistent cache by it."""
+    code = "import envs; print(envs.make('humanoid', 'native', frame_skip=2).engine._host.name)"
+    printed = subprocess.run(
+        [sys.executable, "-c", code], check=True, stdout=subprocess.PIPE, text=True
+    ).stdout
+    assert printed.strip() == envs.make("humanoid", "native", frame_skip=2).engine._host.name

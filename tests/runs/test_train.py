@@ -102,7 +102,7 @@ def test_a_run_stopped_before_its_first_evaluation_is_scored_too(tmp_path):
 def test_fewer_steps_than_are_done_are_refused(finished_run, tmp_path):
     folder = oracles.copy_run(finished_run, tmp_path / "run")
     before = {path: path.read_bytes() for path in folder.path.rglob("*") if path.is_file()}
-    message = "run has 800 steps already; --steps must be larger to train it further"
+    message = "run has 800 steps already, more than 400; --steps with a larger number"
     with pytest.raises(ValueError, match=message):
         mapg_jax.resume(folder.path, steps=400)
     before.setdefault(folder.path / ".lock", b"")
