@@ -153,10 +153,6 @@ def test_a_billion_episodes_are_one_line(mapg, workplace, monkeypatch):
     assert err.count("\n") == 1
 
 
-draws = pytest.mark.skipif(not hasattr(envs.Env, "draws"), reason="no environment draws")
-
-
-@draws
 def test_what_draws_nothing_is_refused(mapg, workplace, contents):
     before = contents()
     status, out, err = mapg("draw", "run")
@@ -165,7 +161,6 @@ def test_what_draws_nothing_is_refused(mapg, workplace, contents):
     assert contents() == before
 
 
-@draws
 def test_a_drive_is_drawn_from_its_start(mapg, tmp_path, monkeypatch):
     config = dataclasses.replace(oracles.RUN, env="driving", time_limit=20)
     folder = oracles.untrained_run(config, tmp_path / "run")

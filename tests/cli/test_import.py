@@ -6,8 +6,6 @@ import sys
 
 import pytest
 
-import envs
-
 MODULE = """
 import jax.numpy as jnp
 
@@ -40,11 +38,12 @@ class Mine(Mapg):
         return "mine"
 
 
+envs.register("bandit", Bandit, time_limit=5)
 mapg_jax.register("mine", Mine)
 """
 TINY = (
-    "--algorithm mine --preset smoke --steps 200 --environments 4 --replay-size 200 --batch-size 8 "
-    "--hidden 8,8 --evaluate-every 100"
+    "--env bandit --algorithm mine --preset smoke --steps 200 --environments 4 --replay-size 200 "
+    "--batch-size 8 --hidden 8,8 --evaluate-every 100"
 )
 pytestmark = pytest.mark.usefixtures("quick_compilation")
 
@@ -52,14 +51,10 @@ pytestmark = pytest.mark.usefixtures("quick_compilation")
 @pytest.fixture
 def mapg(tmp_path):
     """mapg(*arguments) → the process that did it, beside a module `own` with both."""
-    text, env = MODULE, []
-    if hasattr(envs, "register"):
-        text += 'envs.register("bandit", Bandit, time_limit=5)\n'
-        env = ["--env", "bandit"]
-    (tmp_path / "own.py").write_text(text)
+    (tmp_path / "own.py").write_text(MODULE)
 
     def run(command, *arguments):
-        own = [*env, *TINY.split()] if command in ("train", "sweep") else []
+        own = TINY.split() if command in ("train", "sweep") else []
         return subprocess.run(
             [sys.executable, "-m", "mapg_jax", command, *own, *arguments],
             cwd=tmp_path, capture_output=True, text=True,

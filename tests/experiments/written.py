@@ -23,7 +23,7 @@ def write_laps(plan, changes, shares):
     """Of driving, the share of the episodes that complete a lap, a value a seed."""
     found = [
         result(plan.config("driving", seed, **DRIVING, **changes), 100 * share, physics="jax",
-               distance_mean=1000 * share, laps_mean=share, lap_share=share)
+               metrics={"distance_mean": 1000 * share, "laps_mean": share, "lap_share": share})
         for seed, share in enumerate(shares)
     ]  # fmt: skip
     append_csv(scores.path(plan), found)

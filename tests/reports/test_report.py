@@ -122,9 +122,10 @@ def test_arms_are_compared_with_ddpg_of_the_same_noise():
 
 def test_driving_has_a_table_of_its_own():
     shares = [(100.0, 0.0, 0.0), (300.0, 1.5, 0.5)]
+    names = ("distance_mean", "laps_mean", "lap_share")
     driving = [
-        oracles.result(env="driving", seed=seed, distance_mean=d, laps_mean=laps, lap_share=s)
-        for seed, (d, laps, s) in enumerate(shares)
+        oracles.result(env="driving", seed=seed, metrics=dict(zip(names, numbers, strict=True)))
+        for seed, numbers in enumerate(shares)
     ]
     (row,) = tables.tables(driving)[1].rows
     assert row[:3] == ["driving", "M = 10", "2"]
