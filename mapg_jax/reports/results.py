@@ -1,6 +1,7 @@
 """Finished runs as records: one row of a results CSV each."""
 
 import contextlib
+import dataclasses
 import datetime
 import functools
 import itertools
@@ -175,7 +176,7 @@ def versions(config: Config, history: Iterable[Mapping[str, Any]]) -> str:
 
 
 class Settings(NamedTuple):
-    """The settings of a run, sorted: by what all runs have, and by what its algorithm brings."""
+    """The settings of a run, sorted: by what all runs have, and by its algorithm's own."""
 
     preset: str  # the nearest one
     common: str  # what else differs from it, as name=value
@@ -189,16 +190,26 @@ def sort_settings(result: Result) -> Settings:
 
 @functools.cache
 def _sort_settings(slug: str, heads: int, text: str) -> Settings:
-    algorithm = registry.name_of(registry.of_slug(slug, heads))
-    found, nearest, taken = shlex.split(text), "paper", set()
-    for name in PRESETS:
-        theirs = set(shlex.split(settings(preset(name, algorithm))))
-        if theirs <= set(found) and len(theirs) > len(taken):
-            nearest, taken = name, theirs
-    rest = [item for item in found if item not in taken]
-    common = [item for item in rest if item.partition("=")[0] in fields(Config)]
-    own = [item for item in rest if item not in common]
-    return Settings(nearest, shlex.join(common), shlex.join(own))
+    """The nearest preset has the fewest differences in what all runs have."""
+    algorithm = registry.of_slug(slug, heads)
+    name = registry.name_of(algorithm)
+    own = {field.name for field in dataclasses.fields(algorithm.Options)} - set(fields(Config))
+    paper, found, changes = preset("paper", name), _by_name(text), {}
+    for other in PRESETS:
+        theirs = _by_name(settings(preset(other, name)))
+        ours = {k: _text(getattr(paper, k)) for k in theirs} | found
+        changes[other] = {k: v for k, v in sorted(ours.items()) if v != theirs.get(k)}
+    nearest = min(changes, key=lambda other: len(changes[other].keys() - own))
+    common, of_algorithm = [], []
+    for k, v in changes[nearest].items():
+        (of_algorithm if k in own else common).append(f"{k}={v}")
+    return Settings(nearest, shlex.join(common), shlex.join(of_algorithm))
+
+
+def _by_name(text: str) -> dict[str, str]:
+    """Settings by their names."""
+    pairs = (item.partition("=") for item in shlex.split(text))
+    return {name: value for name, _, value in pairs}
 
 
 def read_curve(folder: RunFolder | str | os.PathLike, rows: int = 40) -> dict[str, np.ndarray]:

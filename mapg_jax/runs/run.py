@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.member import Member
@@ -218,7 +219,7 @@ class _Watch:
     def call(self, event: Event) -> None:
         """Tells every callback."""
         answers = [callback(event) for callback in self._callbacks]
-        self._stopped |= any(answer is True for answer in answers)
+        self._stopped |= any(isinstance(x, bool | np.bool_) and bool(x) for x in answers)
 
 
 class Pace:

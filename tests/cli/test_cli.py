@@ -3,50 +3,26 @@
 import dataclasses
 import json
 import shutil
+import signal
 import subprocess
 import sys
 
 import jax
 import oracles
 import pytest
-from mapg_jax.runs.recording import record
 
 import envs
-from mapg_jax.cli.main import main as cli
-from mapg_jax.runs import recording, runner
+from mapg_jax.cli import train
+from mapg_jax.cli.main import COMMANDS
+from mapg_jax.runs import episode, memory, scoring
 from mapg_jax.runs.folder import RunFolder
-from mapg_jax.training.config import Config
+from mapg_jax.training.config import PRESETS, Config, fields, preset
 
 TINY = (
     "--heads 3 --steps 400 --environments 4 --replay-size 200 --batch-size 8 --hidden 8 8 "
     "--learning-starts 16 --time-limit 50 --evaluate-every 200 --evaluation-episodes 2 "
     "--final-episodes 3"
 )
-
-
-@pytest.fixture
-def mapg(monkeypatch, capfd, tmp_path):
-    """mapg(*arguments) → exit status, standard output, standard error; in an empty folder."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("NPROC", "1")  # which `main` would set for good
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["mapg", *map(str, arguments)])
-        capfd.readouterr()
-        try:
-            cli.main()
-            status = 0
-        except SystemExit as stop:
-            status = stop.code
-        return status, *capfd.readouterr()
-
-    return run
-
-
-def contents(folder):
-    """Every path below a folder, and what the files hold."""
-    return {path: path.is_file() and path.read_bytes() for path in folder.rglob("*")}
 
 
 @pytest.fixture
@@ -65,11 +41,13 @@ def workplace(tmp_path, finished_run):
         "unknown": text.replace('"heads"', '"haeds"'),
         "typed": text.replace('"heads": 3', '"heads": "three"'),
         "listed": "[]",
-        "nested": '{"config": []}',
+        "nested": '{"format": 2, "config": []}',
+        "older": '{"config": {"env": "pendulum"}}',
     }.items():
         (tmp_path / name).mkdir()
         (tmp_path / name / "config.json").write_text(damaged)
     shutil.copytree(tmp_path / "run", tmp_path / "damaged")
+    (tmp_path / "broken.py").write_text("1 / 0")
     for file in (tmp_path / "damaged" / "checkpoints" / "800").rglob("*"):
         if file.is_file():
             file.write_bytes(b"")
@@ -91,8 +69,16 @@ REFUSALS = [
     ("train --batch-size 65 --replay-size 64", "a batch of 65 is larger than the replay of 64"),
     ("train --preset papr", "papr"),
     ("train --stepz 5", "--stepz"),
-    ("train --gradient al", "stored"),
-    ("train --heads many", "many"),
+    ("train --gradient al", "--gradient: must be one of stored, resampled, all, got 'al'"),
+    ("train --heads many", "--heads: must be a whole number, got 'many'"),
+    ("train --steps 1e6", "--steps: must be a whole number, got '1e6'"),
+    ("train --step 5", "unknown: --step; did you mean --steps?"),
+    ("train --algorithm a4c", "algorithm must be one of mapg, a3c, got 'a4c'"),
+    ("train --algorithm a3c --tau 0.1", "--tau is an option of mapg, not of a3c"),
+    ("train --algorithm a3c --heads 3", "--heads is an option of mapg, not of a3c"),
+    ("train --rollout-steps 5", "--rollout-steps is an option of a3c, not of mapg"),
+    ("train --import nowhere", "the module 'nowhere' cannot be imported: No module named"),
+    ("train --import broken", "the module 'broken' cannot be imported: division by zero"),
     ("train --out run", "run exists already; choose another --out, or go on with: mapg resume run"),
     ("train --out file/run", "file/run cannot be created: Not a directory"),
     ("trian", "trian"),
@@ -100,13 +86,16 @@ REFUSALS = [
     ("resume empty", "empty is not a run folder: it has no config.json"),
     ("resume torn", "torn/config.json is damaged"),
     ("resume wrong", "heads must be at least 1, got 0"),
-    ("resume unknown", "unknown: haeds"),
+    ("resume unknown", "haeds is no option of a run"),
     ("resume typed", "typed/config.json is damaged"),
     ("resume listed", "listed/config.json is damaged"),
     ("resume nested", "nested/config.json is damaged"),
+    ("resume older", "older is a run folder of format 1, and this version reads format 2"),
+    ("evaluate older", "older is a run folder of format 1, and this version reads format 2"),
+    ("report older", "older is a run folder of format 1, and this version reads format 2"),
     ("resume damaged", "800 is damaged"),
     ("resume run --steps 0", "steps must be at least 1, got 0"),
-    ("drive run", "run is a run of pendulum, not of driving"),
+    ("resume run --steps 100", "run has 800 steps already, more than 100; --steps with a larger"),
     ("resume held --steps 2000", "another process trains held"),
     ("evaluate nowhere", "there is no run folder nowhere"),
     ("evaluate fresh", "fresh has no complete checkpoint"),
@@ -114,6 +103,8 @@ REFUSALS = [
     ("evaluate run --physics native", "pendulum has no engine 'native'; it has jax"),
     ("evaluate run --physics bullet", "bullet"),
     ("evaluate run --episodes 0", "episodes must be at least 1, got 0"),
+    ("evaluate run --episodes 10000000000", "10,000,000,000 episodes side by side need"),
+    ("evaluate run --select best", "select must be one of uniform, argmax-q, mean, first"),
     ("report nowhere", "there is no nowhere"),
     ("report empty", "there are no runs in empty"),
     ("report file", "file is neither a run folder, a folder of them nor a CSV of results"),
@@ -122,41 +113,65 @@ REFUSALS = [
     ("report table.csv", "table.csv is no CSV of results: its columns are a,b, not env,algorithm"),
     ("report scored --out file", "file cannot be made: File exists"),
     ("report", "name a run folder, a folder of them or a CSV file of results"),
-    (
-        "evaluate run --seed -1 --physics gymnasium",
-        "seed must be at least 0",
-    ),
+    ("evaluate run --seed -1 --physics gymnasium", "seed must be at least 0"),
+    ("paper claims --no-train", "there is nothing to show: no results in results, no runs in"),
+    ("paper fig9", "fig9"),
+    ("paper fig3 --seeds 0", "seeds must be at least 1, got 0"),
+    ("paper fig3 --steps 7", "steps must be a multiple of 160"),
+    ("paper fig3 --workers 0", "workers must be at least 1, got 0"),
+    ("paper fig3 --out file/new", "file/new cannot be created: Not a directory"),
 ]
 
 
-def test_bad_input_is_named_and_leaves_nothing(mapg, workplace):
+@pytest.mark.usefixtures("workplace")
+def test_bad_input_is_named_and_leaves_nothing(mapg, contents, monkeypatch):
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.setattr(sys, "path", list(sys.path))
     for command, message in REFUSALS:
-        before = contents(workplace)
+        before = contents()
         status, out, err = mapg(*command.split())
         assert status == 2, command
         assert out == "", command
         assert message in err, command
         assert err.startswith("mapg: ") and err.count("\n") == 1, command
-        assert contents(workplace) == before, command
+        assert contents() == before, command
 
 
 def test_too_little_memory_is_refused_with_the_numbers(mapg, tmp_path, monkeypatch):
-    monkeypatch.setattr(runner, "available_bytes", lambda: 50_000_000)
+    monkeypatch.setattr(memory, "available_bytes", lambda: 50_000_000)
     status, out, err = mapg("train", "--env", "hopper", "--out", "run")
     assert (status, out) == (2, "")
     assert "mapg: the run needs 0.1 GB" in err
     assert not list(tmp_path.iterdir())
 
 
+def test_a_billion_episodes_are_one_line(mapg, workplace, monkeypatch):
+    monkeypatch.setattr(scoring, "available_bytes", lambda: 8_000_000_000)
+    status, out, err = mapg("evaluate", workplace / "run", "--episodes", 10**9)
+    assert (status, out) == (2, "")
+    assert err.startswith("mapg: 1,000,000,000 episodes side by side need ")
+    assert err.count("\n") == 1
+
+
+def test_what_draws_nothing_is_refused(mapg, workplace, contents):
+    before = contents()
+    status, out, err = mapg("draw", "run")
+    assert (status, out) == (2, "")
+    assert err == "mapg: run is a run of pendulum, which draws nothing\n"
+    assert contents() == before
+
+
 def test_a_drive_is_drawn_from_its_start(mapg, tmp_path, monkeypatch):
     config = dataclasses.replace(oracles.RUN, env="driving", time_limit=20)
     folder = oracles.untrained_run(config, tmp_path / "run")
     drawn = []
-    monkeypatch.setattr(recording, "record", lambda *a: drawn.append(record(*a)) or drawn[0])
-    status, out, err = mapg("drive", "run", "--seed", 5)
-    assert (status, out.split()) == (0, ["run/drive.png", "run/drive.html"]), err
-    assert (folder.path / "drive.png").read_bytes()[1:4] == b"PNG"
-    assert "<html" in (folder.path / "drive.html").read_text()
+    record = episode.record
+    monkeypatch.setattr(episode, "record", lambda *a: drawn.append(record(*a)) or drawn[0])
+    status, out, err = mapg("draw", "run", "--seed", 5)
+    assert status == 0, err
+    pictures = {path.split(".")[-1]: folder.path.parent / path for path in out.split()}
+    assert pictures["png"].read_bytes()[1:4] == b"PNG"
+    assert "<html" in pictures["html"].read_text()
     (states,) = drawn
     start = config.make_env().reset(jax.random.split(jax.random.key(5))[0]).pipeline_state
     assert states.x.shape == (20,)
@@ -164,42 +179,64 @@ def test_a_drive_is_drawn_from_its_start(mapg, tmp_path, monkeypatch):
     assert (states.x[0], states.y[0]) == (start.x, start.y)
 
 
-def test_train_then_resume_then_evaluate(mapg, tmp_path):
+def test_train_then_resume_then_evaluate(mapg, contents, tmp_path):
     status, out, err = mapg("train", *TINY.split(), "--out", "runs/mine")
     assert status == 0, err
     assert "step 400 of 400: return" in err
+    assert "scoring the last policy: 3 episodes" in err
     assert "run folder:     runs/mine" in out
     assert "learning curve: runs/mine/curve.png" in out
     assert (tmp_path / "runs/mine/curve.png").read_bytes()[1:4] == b"PNG"
     folder = RunFolder.open("runs/mine")
-    assert folder.config == dataclasses.replace(
-        Config(), heads=3, steps=400, environments=4, replay_size=200, batch_size=8, hidden=(8, 8),
+    assert folder.config == Config(
+        heads=3, steps=400, environments=4, replay_size=200, batch_size=8, hidden=(8, 8),
         learning_starts=16, time_limit=50, evaluate_every=200, evaluation_episodes=2,
         final_episodes=3,
     )  # fmt: skip
+    assert json.loads(folder.evaluation.read_text())["episodes"] == 3
 
-    before = contents(tmp_path)
+    before = contents()
     status, out, _ = mapg("resume", "runs/mine")
     assert status == 0
     assert "runs/mine is finished: 400 steps" in out
-    status, out, _ = mapg("resume", "runs/mine", "--steps", 100)
-    assert status == 0
-    assert "runs/mine is finished: 400 steps" in out
-    assert contents(tmp_path) == before
+    status, out, err = mapg("resume", "runs/mine", "--steps", 100)
+    assert (status, out) == (2, "")
+    assert "runs/mine has 400 steps already, more than 100; --steps with a larger" in err
+    assert contents() == before
 
     status, out, err = mapg("evaluate", "runs/mine", "--json", "--episodes", 5)
     assert status == 0, err
     record = json.loads(out)
-    assert record == json.loads(folder.evaluation.read_text())
+    assert record == json.loads((folder.path / "evaluations/jax-uniform-5-s0.json").read_text())
     wanted = {"env", "physics", "select", "episodes", "mean", "std", "ci95", "returns"}
     assert wanted <= set(record)
     assert len(record["returns"]) == 5
+    assert {path: contents()[path] for path in before} == before  # it stands beside
     status, out, _ = mapg("evaluate", "runs/mine", "--episodes", 5)
     assert status == 0
     assert f"{record['mean']:.1f}" in out
 
 
-def test_a3c_trains_resumes_and_is_scored(mapg, tmp_path):
+@pytest.mark.usefixtures("workplace")
+def test_a_run_that_was_cut_off_before_its_score_is_scored(mapg, monkeypatch):
+    """Ctrl-C while it is scored says how to go on."""
+    with monkeypatch.context() as patch:
+        patch.setattr(train, "finish", lambda folder: signal.raise_signal(signal.SIGINT))
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+        try:
+            status, out, err = mapg("resume", "run")
+        finally:
+            signal.signal(signal.SIGINT, before)
+    assert status == 130
+    assert "mapg: interrupted while scoring; go on with: mapg resume run" in err
+    status, out, err = mapg("resume", "run")
+    assert status == 0
+    assert "scoring the last policy: 3 episodes" in err
+    assert "learning curve: run/curve.png" in out
+    assert RunFolder.open("run").scored_steps() == 800
+
+
+def test_a3c_trains_resumes_and_is_scored(mapg, contents):
     status, out, err = mapg("train", "--preset", "smoke", "--algorithm", "a3c")
     assert status == 0, err
     assert "run folder:     runs/pendulum-a3c-1" in out
@@ -209,14 +246,14 @@ def test_a3c_trains_resumes_and_is_scored(mapg, tmp_path):
     assert status == 0
     record = json.loads(out)
     assert (record["select"], record["spread"], record["q_gap"]) == ("mean", 0, 0)
-    before = contents(tmp_path)
+    before = contents()
     status, out, err = mapg("evaluate", "runs/pendulum-a3c-1", "--select", "argmax-q")
     assert (status, out) == (2, "")
     assert err == "mapg: select must be one of uniform, mean, got 'argmax-q'\n"
-    assert contents(tmp_path) == before
+    assert contents() == before
 
 
-def test_a_diverging_run_exits_1(mapg, tmp_path):
+def test_a_diverging_run_exits_1(mapg):
     status, out, err = mapg(
         "train", *TINY.split(), "--critic-learning-rate", "1e30", "--out", "run"
     )
@@ -235,19 +272,41 @@ def test_environments_are_listed(mapg):
             assert text in line
 
 
-@pytest.mark.parametrize("preset", ["paper", "parallel", "smoke"])
-def test_a_preset_sets_the_defaults_that_help_shows(mapg, preset, monkeypatch):
+@pytest.mark.parametrize("algorithm", ["mapg", "a3c"])
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_preset_sets_the_defaults_that_help_shows(mapg, name, algorithm, monkeypatch):
     started = []
-    monkeypatch.setattr(cli, "start", lambda config, out: started.append(config) or 1 / 0)
+    monkeypatch.setattr(train, "begin", lambda config, out: started.append(config) or 1 / 0)
+    flags = ("--algorithm", algorithm)
     with pytest.raises(ZeroDivisionError):
-        mapg("train", "--preset", preset, "--seed", 3)
+        mapg("train", "--preset", name, *flags, "--seed", 3)
     with pytest.raises(ZeroDivisionError):
-        mapg("train", f"--preset={preset}", "--env", "hopper")
-    assert started[0] == dataclasses.replace(cli.PRESETS[preset], seed=3)
-    assert started[1] == dataclasses.replace(cli.PRESETS[preset], env="hopper")
-    status, out, err = mapg("train", "--preset", preset, "--help")
+        mapg("train", f"--preset={name}", "--env", "hopper", *flags)
+    expected = preset(name, algorithm)
+    assert started == [
+        dataclasses.replace(expected, seed=3),
+        dataclasses.replace(expected, env="hopper"),
+    ]
+    status, out, err = mapg("train", "--preset", name, *flags, "--help")
     assert status == 0
-    assert f"default: {cli.PRESETS[preset].batch_size}" in out + err
+    shown = " ".join((out + err).split())
+    for field in ("environments", "evaluate_every", "critic_learning_rate"):
+        assert f"(default: {getattr(expected, field)})" in shown
+    for field in fields(type(expected)):
+        assert f"--{field.replace('_', '-')} " in shown
+
+
+def test_help_imports_nothing_slow():
+    """In a process of its own."""
+    code = (
+        "import sys; from mapg_jax.cli.main import main; sys.argv = ['mapg', '--help']; main(); "
+        "print([m for m in ('jax', 'numpy', 'flax', 'brax', 'mujoco', 'rich') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    *shown, imported = done.stdout.splitlines()
+    assert imported == "[]"
+    for name in COMMANDS:
+        assert any(line.startswith(f"  {name} ") for line in shown)
 
 
 def test_json_is_all_that_reaches_standard_output(tmp_path):
@@ -260,7 +319,8 @@ def test_json_is_all_that_reaches_standard_output(tmp_path):
     assert done.returncode == 0, done.stderr
     record = json.loads(done.stdout)
     assert (record["physics"], record["env"]) == ("gymnasium", "hopper")
-    assert record == json.loads(folder.evaluation.read_text())
+    file = folder.path / "evaluations" / "gymnasium-uniform-4-s0.json"
+    assert record == json.loads(file.read_text())
 
 
 @pytest.mark.mjx

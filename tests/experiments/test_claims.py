@@ -109,7 +109,7 @@ def test_spread_that_falls_with_spikes(plan, spike, expected):
         spread = 1 / steps
         spread[35] *= spike + seed / 100
         write_curve(plan, "pendulum", seed, env_steps=steps, return_mean=steps - 10, spread=spread)
-    assert fig2.statistics_by_seed(plan)["spread with step"][0] < -0.8
+    assert fig2.statistics_by_seed(plan).with_step[0] < -0.8
     assert claims.c3(plan).verdict == expected
 
 

@@ -16,15 +16,14 @@ from mapg_jax.runs.folder import RunFolder, write_json
 from mapg_jax.runs.member import DIVERGED
 from mapg_jax.runs.signals import StoppedError
 from mapg_jax.sweeps.worker import failure_file
-from mapg_jax.training.config import PRESETS
+from mapg_jax.training.config import Config
 
 NAMES: list[Name] = list(TITLES)
 
 
 def small(folder) -> Plan:
     plan = make_plan("smoke", 320, 1, folder / "runs", folder / "results")
-    few = {"evaluate_every": 160, "final_episodes": plan.base.evaluation_episodes}
-    base = dataclasses.replace(plan.base, **few)
+    base = dataclasses.replace(plan.base, evaluate_every=160)
     return plan._replace(
         base=base, tasks=("pendulum",), heads=(10,), studied=("pendulum",), timing=(2, 0.01)
     )
@@ -54,7 +53,7 @@ def test_a_command_trains_measures_and_draws(made):
     ]
     driving = [("ddpg", 1, 320), ("mapg", 10, 320)]
     assert sorted(arms) == [("driving", *x) for x in driving] + [("pendulum", *x) for x in pendulum]
-    assert {r.episodes for r in found} == {2}
+    assert {r.episodes for r in found} == {4}
     text = (made.results / "README.md").read_text()
     for picture in ("fig2.png", "fig3.png", "fig4.png", "heads.png"):
         assert f"({picture})" in text
@@ -182,7 +181,7 @@ def test_what_is_finished_is_shown_when_training_is_stopped(made, tmp_path, monk
     def stopped(*_, **__):
         raise StoppedError(signal.SIGTERM, "the same command")
 
-    monkeypatch.setattr(paper, "run_all", stopped)
+    monkeypatch.setattr(paper, "carry_out", stopped)
     plan = made._replace(results=tmp_path)
     with pytest.raises(StoppedError):
         paper.make(plan, ["fig2"])
@@ -206,7 +205,7 @@ def test_a_run_that_was_given_more_steps_is_named_and_not_mixed_in(tmp_path, mon
     (config,) = paper.runs(plan, ["fig3"])
     longer = dataclasses.replace(config, steps=2 * config.steps)
     folder = oracles.finished_run(longer, plan.folder(config), [1.0, 2.0])
-    monkeypatch.setattr(paper, "run_all", lambda _, on_finished, **__: on_finished(folder) or [])
+    monkeypatch.setattr(paper, "carry_out", lambda _, on_finished, **__: on_finished(folder) or [])
     (failure,) = paper.make(plan, ["fig3"]).failures
     assert failure == f"{folder.path} holds a run of another configuration"
     assert scores.of(plan, [config, longer]) == []
@@ -221,6 +220,20 @@ def test_a_damaged_file_is_refused(made, tmp_path):
             page.sections(plan)
 
 
+def test_a_page_of_nothing_is_refused_and_leaves_nothing(tmp_path):
+    with pytest.raises(ValueError, match=r"there is nothing to show: no results in .*, no runs in"):
+        paper.make(small(tmp_path), NAMES, training=False)
+    assert not list(tmp_path.iterdir())
+
+
+def test_results_that_cannot_be_written_are_refused_before_anything_is_trained(tmp_path):
+    (tmp_path / "file").touch()
+    plan = small(tmp_path)._replace(results=tmp_path / "file" / "results")
+    with pytest.raises(ValueError, match="results cannot be created: Not a directory"):
+        paper.make(plan, ["fig2"])
+    assert not plan.runs.exists()
+
+
 def test_overhead_is_timed_in_rounds(made):
     found = rows.read(made.measured / overhead.TIMES)
     assert [(row["heads"], row["round"]) for row in found] == [
@@ -230,7 +243,7 @@ def test_overhead_is_timed_in_rounds(made):
 
 
 def test_the_order_does_not_depend_on_the_experiment():
-    plan = Plan(PRESETS["paper"], 2, *[None] * 2)
+    plan = Plan(Config(), 2, *[None] * 2)
     ordered = paper.runs(plan, list(paper.TITLES))
     assert len(set(ordered)) == len(ordered)
     folders = [name(config, plan.base) for config in ordered]
@@ -246,7 +259,7 @@ def test_the_order_does_not_depend_on_the_experiment():
 
 
 def test_names_say_what_sets_a_run_apart():
-    plan = Plan(PRESETS["paper"], 1, *[None] * 2)
+    plan = Plan(Config(), 1, *[None] * 2)
     for changes, expected in (
         ({"heads": 1}, "hopper-ddpg-m1-s0"),
         (A3C, "hopper-a3c-m1-s0"),

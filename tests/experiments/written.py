@@ -4,16 +4,13 @@ import numpy as np
 
 from experiments import curves, fig2, rows, scores
 from experiments.plan import DRIVING, MAPG
-from mapg_jax.reports.results import Result, append_csv
+from mapg_jax.reports.results import Result, append_csv, run_key
 
 
 def result(config, score, **extra) -> Result:
-    key = rows.identity(config) | {
-        "heads": config.heads, "seed": config.seed, "steps": config.steps
-    }  # fmt: skip
     rest = {"return_std": 1.0, "episodes": 100, "select": "uniform", "physics": "native",
             "versions": "", "seconds": 1.0, "date": "2026-01-01", "command": ""}  # fmt: skip
-    return Result(**key, return_mean=float(score), **{**rest, **extra})
+    return Result(**run_key(config)._asdict(), return_mean=float(score), **{**rest, **extra})
 
 
 def write(plan, env, changes, values):
@@ -26,7 +23,7 @@ def write_laps(plan, changes, shares):
     """Of driving, the share of the episodes that complete a lap, a value a seed."""
     found = [
         result(plan.config("driving", seed, **DRIVING, **changes), 100 * share, physics="jax",
-               distance_mean=1000 * share, laps_mean=share, lap_share=share)
+               metrics={"distance_mean": 1000 * share, "laps_mean": share, "lap_share": share})
         for seed, share in enumerate(shares)
     ]  # fmt: skip
     append_csv(scores.path(plan), found)

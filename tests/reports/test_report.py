@@ -13,9 +13,9 @@ from mapg_jax.reports import inference as statistics
 from mapg_jax.reports import plots as plotting
 from mapg_jax.reports import report, tables
 from mapg_jax.reports.document import Bullets, Heading, Paragraph, Picture, Table, markdown, page
-from mapg_jax.reports.results import append_csv, compared_settings, read_run
+from mapg_jax.reports.results import append_csv, read_run, sort_settings
 from mapg_jax.runs.folder import RunFolder
-from mapg_jax.training.config import Config
+from mapg_jax.training.config import Config, preset
 
 SCORES = {
     ("hopper", 1): [10.0, 12.0, 9.0, 11.0],
@@ -122,9 +122,10 @@ def test_arms_are_compared_with_ddpg_of_the_same_noise():
 
 def test_driving_has_a_table_of_its_own():
     shares = [(100.0, 0.0, 0.0), (300.0, 1.5, 0.5)]
+    names = ("distance_mean", "laps_mean", "lap_share")
     driving = [
-        oracles.result(env="driving", seed=seed, distance_mean=d, laps_mean=laps, lap_share=s)
-        for seed, (d, laps, s) in enumerate(shares)
+        oracles.result(env="driving", seed=seed, metrics=dict(zip(names, numbers, strict=True)))
+        for seed, numbers in enumerate(shares)
     ]
     (row,) = tables.tables(driving)[1].rows
     assert row[:3] == ["driving", "M = 10", "2"]
@@ -188,6 +189,14 @@ def test_the_report_of_a_folder(runs, tmp_path):
     assert before == {path.name: path.read_bytes() for path in (tmp_path / "new/out").iterdir()}
 
 
+def test_a_smoke_run_is_one_of_the_preset_smoke(tmp_path):
+    for name, changes in (("plain", {}), ("wide", {"hidden": (32, 32)})):
+        oracles.finished_run(preset("smoke", **changes), tmp_path / name, [1.0, 2.0])
+    text = markdown(report.compose(report.gather([tmp_path])), pictures=False)
+    assert "preset smoke; scored" in text
+    assert "preset smoke, but hidden=32,32; scored" in text
+
+
 def test_one_protocol_is_not_called_mixed(runs):
     text = markdown(report.compose(report.gather([runs / "m1", runs / "m10"])), pictures=False)
     assert "protocols" not in text
@@ -205,7 +214,7 @@ def test_another_score_of_the_same_run_is_refused(runs, tmp_path):
     append_csv(tmp_path / "other.csv", [result._replace(return_mean=7.0)])
     with pytest.raises(ValueError, match="two runs of hopper"):
         report.gather([runs, tmp_path / "other.csv"])
-    assert compared_settings(result) == ""
+    assert sort_settings(result).own == ""
 
 
 # ----- pages and pictures

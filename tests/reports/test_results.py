@@ -11,20 +11,21 @@ import pytest
 
 import mapg_jax
 from mapg_jax.reports.results import (
-    Result,
+    COLUMNS,
     UnfinishedError,
     append_csv,
-    compared_settings,
     find_runs,
     merge,
     read_csv,
     read_curve,
     read_run,
+    run_key,
     separate,
     settings,
+    sort_settings,
 )
 from mapg_jax.runs.folder import RunFolder, write_json
-from mapg_jax.training.config import Config
+from mapg_jax.training.config import PRESETS, Config, preset
 
 RESULT = oracles.result()
 
@@ -42,19 +43,19 @@ def test_a_run_is_read_as_it_was_written(tmp_path):
     assert (result.date, result.command) == tuple(
         record["history"][0][name] for name in ("date", "command")
     )
-    assert (result.distance_mean, result.laps_mean, result.lap_share) == (None, None, None)
+    assert result.metrics == {}
 
 
 def test_a_run_that_was_trained_and_scored_is_read(finished_run, tmp_path):
     with pytest.raises(UnfinishedError, match=r"it has no evaluation\.json"):
         read_run(finished_run)
     path = shutil.copytree(finished_run.path, tmp_path / "run")
-    score = mapg_jax.evaluate(path, episodes=3, select="mean")
+    score = mapg_jax.evaluate(path)
     result = read_run(path)
     assert result.return_mean == score["mean"]
     assert result.return_std == score["std"]
     assert result[:5] == ("pendulum", "mapg", 3, oracles.RUN.seed, 800)
-    assert (result.episodes, result.select, result.physics) == (3, "mean", "jax")
+    assert (result.episodes, result.select, result.physics) == (3, "uniform", "jax")
     assert result.seconds > 0
 
 
@@ -63,7 +64,7 @@ def test_driving_has_distance_and_laps(tmp_path):
     config = Config(env="driving", steps=1000)
     folder = oracles.finished_run(config, tmp_path / "run", [1.0] * 4, metrics=metrics)
     result = read_run(folder)
-    assert (result.distance_mean, result.laps_mean, result.lap_share) == (400.0, 0.875, 0.5)
+    assert result.metrics == {"distance_mean": 400.0, "laps_mean": 0.875, "lap_share": 0.5}
 
 
 def test_runs_of_earlier_versions_are_read(tmp_path):
@@ -153,12 +154,12 @@ def test_a_csv_reads_back_equal(tmp_path):
     path = tmp_path / "new" / "results.csv"
     results = [
         RESULT._replace(return_mean=0.1 + 0.2, command='a "b", c\nd'),
-        RESULT._replace(seed=1, settings="'env_options=track=a b'", distance_mean=1 / 3),
+        RESULT._replace(seed=1, settings="'env_options=track=a b'", metrics={"laps_mean": 1 / 3}),
     ]
     append_csv(path, results[:1])
     append_csv(path, results)
     assert read_csv(path) == results
-    assert path.read_text().splitlines()[0] == ",".join(Result._fields)
+    assert path.read_text().splitlines()[0] == ",".join([*COLUMNS, "laps_mean"])
     assert read_csv(tmp_path / "none.csv") == []
 
 
@@ -173,22 +174,21 @@ def test_a_row_with_another_score_is_refused_whole(tmp_path):
     assert path.read_bytes() == before
 
 
+HEADER = ",".join(COLUMNS) + ",laps_mean"
 BAD_ROWS = [
     ("a,b\n1,2\n", "is no CSV of results: its columns are a,b"),
     ("", "is no CSV of results"),
-    (",".join(Result._fields) + "\nhopper,mapg\n", "row 2 has 2 cells, not 18"),
+    (f"{HEADER}\nhopper,mapg\n", "row 2 has 2 cells, not 16"),
     (
-        ",".join(Result._fields) + "\n" + ",".join(["1"] * 4 + ["many"] + ["1"] * 13),
+        f"{HEADER}\n" + ",".join(["1"] * 4 + ["many"] + ["1"] * 11),
         "row 2: steps is no number: 'many'",
     ),
     (
-        ",".join(Result._fields) + "\n" + ",".join(["1"] * 5 + ["nan"] + ["1"] * 12),
+        f"{HEADER}\n" + ",".join(["1"] * 5 + ["nan"] + ["1"] * 10),
         "row 2: return_mean is no number: 'nan'",
     ),
-    (
-        ",".join(Result._fields) + "\n" + ",".join(["1"] * 18),
-        "row 2: algorithm must be one of ddpg, mapg, a3c, got '1'",
-    ),
+    (f"{HEADER}\n" + ",".join(["1"] * 15 + ["two"]), "row 2: laps_mean is no number: 'two'"),
+    (f"{HEADER}\n" + ",".join(["1"] * 16), "row 2: no algorithm with M = 1 is called '1'"),
     ('"a', "is no CSV"),
 ]
 
@@ -217,7 +217,35 @@ def test_mixed_protocols_are_apart_and_arms_of_one_together():
         RESULT._replace(versions="gymnasium 2.0"),
     ]
     assert list(separate(arms + others).values()) == [arms, *([other] for other in others)]
-    assert compared_settings(others[1]) == "noise=none"
+    assert sort_settings(others[1]) == ("paper", "batch_size=8", "noise=none")
+
+
+@pytest.mark.parametrize("algorithm", ["mapg", "a3c"])
+@pytest.mark.parametrize("name", PRESETS)
+def test_settings_are_told_from_the_nearest_preset(name, algorithm):
+    def sorted_settings(**changes):
+        config = preset(name, algorithm, **changes)
+        return sort_settings(RESULT._replace(**run_key(config)._asdict()))
+
+    assert sorted_settings(steps=7, evaluation_episodes=3) == (name, "", "")
+    changes = {"discount": 0.9, "critic_learning_rate": 0.5}
+    assert sorted_settings(**changes) == (name, "discount=0.9", "critic_learning_rate=0.5")
+    assert sorted_settings(hidden=(9, 9)) == (name, "hidden=9,9", "")
+
+
+def test_a_field_that_has_the_papers_value_again_is_a_change_of_the_preset():
+    config = preset("parallel", hidden=(64, 64))
+    result = RESULT._replace(**run_key(config)._asdict())
+    assert sort_settings(result) == ("parallel", "hidden=64,64", "")
+
+
+def test_a_run_has_one_identity():
+    config = Config(env="hopper", heads=10, seed=3, steps=1000, noise="none")
+    assert run_key(config) == ("hopper", "mapg", 10, 3, 1000, "noise=none")
+    assert run_key(config) == RESULT._replace(seed=3, settings="noise=none").run
+    for other in ({"seed": 4}, {"heads": 9}, {"steps": 5}, {"env": "swimmer"}, {"tau": 0.5}):
+        assert run_key(dataclasses.replace(config, **other)) != run_key(config)
+    assert run_key(dataclasses.replace(config, evaluate_every=7)) == run_key(config)
 
 
 def test_a_run_found_twice_counts_once():

@@ -35,14 +35,15 @@ def test_every_leaf_comes_back(trainer, states, tmp_path):
         assert host == {"seconds": 1.5}
         same = jax.tree.map(lambda x, y: x.dtype == y.dtype, restored, state)
         assert all(jax.tree.leaves(same))
-        agent = Checkpoints(tmp_path / "checkpoints").load_agent(trainer.shapes.agent)
+        agent, steps = Checkpoints(tmp_path / "checkpoints").load_agent(trainer.shapes.agent)
         oracles.assert_equal(agent, state.agent)
+        assert steps == state.env_steps
 
 
 def test_empty_arrays_come_back(trainer, states, tmp_path):
     """A state of MJX has some, where a model has no muscles or tendons."""
-    state = states[0].replace(noise=jnp.zeros((4, 0)))
-    shapes = trainer.shapes.replace(noise=jax.ShapeDtypeStruct((4, 0), jnp.float32))
+    state = states[0].replace(explorer=jnp.zeros((4, 0)))
+    shapes = trainer.shapes.replace(explorer=jax.ShapeDtypeStruct((4, 0), jnp.float32))
     checkpoints = Checkpoints(tmp_path / "checkpoints", kept=1)
     checkpoints.save(state, {})
     oracles.assert_equal(checkpoints.load(shapes)[0], state)
@@ -55,7 +56,7 @@ def test_only_filled_slots_are_written(states, tmp_path):
         with ocp.StandardCheckpointer() as checkpointer:
             stored = checkpointer.restore(path)
         names = [name for name in stored if name.startswith(".replay.data")]
-        assert len(names) == len(state.replay.data)
+        assert len(names) == len(jax.tree.leaves(state.replay.data))
         assert all(len(stored[name]) == filled for name in names)
 
 

@@ -1,4 +1,4 @@
-"""metrics.csv is exact and can be cut back; TensorBoard and the progress line say the same."""
+"""metrics.csv is exact and can be cut back; TensorBoard says the same."""
 
 import contextlib
 import math
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tensorboardX.proto.event_pb2 import Event
 
-from mapg_jax.runs.metrics import MetricsFile, Progress, cut_metrics, read_metrics
+from mapg_jax.runs.metrics import MetricsFile, cut_metrics, read_metrics
 
 ROWS = [
     {"env_steps": steps, "return_mean": float(np.float32(0.1) * steps), "seconds": math.pi}
@@ -100,21 +100,3 @@ def test_a_number_that_is_not_there_is_left_out_of_tensorboard(tmp_path, caplog)
     assert scalars(tmp_path) == {("q", 1): 1.0}
     assert math.isnan(read_metrics(tmp_path / "metrics.csv")[0]["training_return"])
     assert not caplog.records
-
-
-def test_progress_is_a_line_an_evaluation_on_standard_error(capsys):
-    row = {"env_steps": 500, "return_mean": -12.34, "return_std": 5.0, "steps_per_second": 2000.0}
-    with Progress(1000) as progress:
-        progress.advance(500, 2000.0)
-        progress.evaluated(row, 0.25)
-    shown = capsys.readouterr()
-    assert shown.out == ""
-    assert "step 500 of 1,000: return -12.3 ± 5.0, 2,000 steps/s, 0 s left" in shown.err
-
-
-def test_silence_is_silent(capsys):
-    with Progress(1000, enabled=False) as progress:
-        progress.advance(500, 2000.0)
-        row = {"env_steps": 500, "return_mean": 0.0, "return_std": 0.0, "steps_per_second": 1.0}
-        progress.evaluated(row, 1.0)
-    assert capsys.readouterr() == ("", "")

@@ -35,8 +35,8 @@ def test_numpy_in_float32_numpy_out(policy):
 def test_actions_are_in_gymnasiums_units(policy, finished_run):
     """Pendulum's torque reaches 2 N m: actions are twice the networks' proposals."""
     trainer = make_trainer(finished_run.config)
-    state = Checkpoints(finished_run.checkpoints).load_agent(trainer.shapes.agent)
-    proposals = trainer.agent.proposals(state, jnp.asarray(observations(6), jnp.float32))
+    state, _ = Checkpoints(finished_run.checkpoints).load_agent(trainer.shapes.agent)
+    proposals, _ = trainer.agent.proposals(state, jnp.asarray(observations(6), jnp.float32))
     np.testing.assert_allclose(policy.proposals(observations(6)), 2 * proposals, rtol=1e-6)
 
 
@@ -73,7 +73,7 @@ def test_choices_of_a_head(finished_run):
     np.testing.assert_array_equal(first(rows), proposals[:, 0])
     np.testing.assert_allclose(mean(rows), proposals.mean(1), atol=1e-6)  # float32
     best = load_policy(finished_run.path, select="argmax-q")
-    _, values = best.agent.proposals_and_values(best.state, jnp.float32(rows))
+    _, values = best.agent.proposals(best.state, jnp.float32(rows))
     chosen = proposals[np.arange(20), np.asarray(values).argmax(-1)]
     np.testing.assert_array_equal(best(rows), chosen)
 
@@ -85,6 +85,32 @@ def test_a_wrong_observation_is_refused(policy, shape):
         policy(np.zeros(shape))
     with pytest.raises(ValueError, match=text):
         policy.proposals(np.zeros(shape))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_an_observation_that_is_not_finite_is_refused(policy, bad):
+    """It would give an action that is not."""
+    rows = observations(3)
+    rows[1, 2] = bad
+    for observation in (rows, rows[1]):
+        with pytest.raises(ValueError, match="an observation must be finite"):
+            policy(observation)
+        with pytest.raises(ValueError, match="an observation must be finite"):
+            policy.proposals(observation)
+
+
+@pytest.mark.parametrize("seed", [-1, 2**31])
+def test_a_seed_out_of_range_is_refused(policy, finished_run, seed):
+    message = f"seed must be at least 0 and below 2147483648, got {seed}"
+    with pytest.raises(ValueError, match=message):
+        policy(observations(1)[0], seed=seed)
+    with pytest.raises(ValueError, match=message):
+        load_policy(finished_run.path, seed=seed)
+
+
+def test_a_choice_that_the_algorithm_has_not_is_refused(finished_run):
+    with pytest.raises(ValueError, match=r"select must be one of uniform, .*, got 'best'"):
+        load_policy(finished_run.path, select="best")
 
 
 def test_it_drops_into_a_gymnasium_loop(policy):

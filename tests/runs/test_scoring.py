@@ -10,8 +10,11 @@ import oracles
 import pytest
 
 from mapg_jax import evaluate, load_policy
+from mapg_jax.reports.results import protocol, read_run
+from mapg_jax.runs import scoring
 from mapg_jax.runs.checkpoints import Checkpoints
 from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.policy import open_policy
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +34,8 @@ def hopper(tmp_path_factory):
 
 def test_the_record_is_the_file(pendulum):
     record = evaluate(pendulum, episodes=5, select="mean", seed=3)
-    assert json.loads(pendulum.evaluation.read_text()) == record
+    file = pendulum.path / "evaluations" / "jax-mean-5-s3.json"
+    assert json.loads(file.read_text()) == record
     assert (record["env"], record["physics"], record["select"]) == ("pendulum", "jax", "mean")
     assert (record["episodes"], record["seed"]) == (5, 3)
     assert record["mean"] == pytest.approx(np.mean(record["returns"]), rel=1e-12)
@@ -39,6 +43,55 @@ def test_the_record_is_the_file(pendulum):
     assert record["ci95"][0] < record["mean"] < record["ci95"][1]
     assert record["lengths"] == [50] * 5
     assert record["spread"] > 0
+
+
+def test_scores_asked_for_later_stand_beside_the_official_one(finished_run, tmp_path):
+    folder = oracles.copy_run(finished_run, tmp_path / "run")
+    evaluate(folder, episodes=1)
+    assert not folder.evaluation.exists()
+    official = evaluate(folder)
+    assert json.loads(folder.evaluation.read_text()) == official
+    assert (official["episodes"], official["select"], official["seed"]) == (3, "uniform", 0)
+    result = read_run(folder)
+    for other in ({"episodes": 4}, {"select": "argmax-q"}, {"seed": 1}, {"physics": "gymnasium"}):
+        assert evaluate(folder, **other)["returns"] != official["returns"]
+    names = {path.name for path in (folder.path / "evaluations").iterdir()}
+    assert names == {
+        "jax-uniform-1-s0.json", "jax-uniform-4-s0.json", "jax-argmax-q-3-s0.json",
+        "jax-uniform-3-s1.json", "gymnasium-uniform-3-s0.json",
+    }  # fmt: skip
+    assert read_run(folder) == result
+    assert protocol(read_run(folder)) == protocol(result)
+    assert evaluate(folder, episodes=3) == official  # asked for by its own numbers
+    assert len(list((folder.path / "evaluations").iterdir())) == len(names)
+
+
+def test_a_score_names_the_step_of_its_own_policy(finished_run, tmp_path, monkeypatch):
+    """Training goes on while a policy is scored: a newer checkpoint comes."""
+    folder = oracles.copy_run(finished_run, tmp_path / "run", upto=400)
+    expected = scoring.score(folder, episodes=2)
+
+    def opened(*arguments):
+        policy = open_policy(*arguments)
+        shutil.copytree(finished_run.checkpoints / "800", folder.checkpoints / "800")
+        return policy
+
+    monkeypatch.setattr(scoring, "open_policy", opened)
+    assert scoring.score(folder, episodes=2) == expected
+    assert expected["env_steps"] == 400
+    assert Checkpoints(folder.checkpoints).newest() == 800
+
+
+@pytest.mark.parametrize("physics", ["auto", "gymnasium"])
+def test_more_episodes_than_fit_are_refused_in_one_line(pendulum, physics, monkeypatch):
+    monkeypatch.setattr(scoring, "available_bytes", lambda: 8_000_000_000)
+    message = r"1,000,000,000 episodes .* but 8\.0 GB are available; choose fewer --episodes"
+    with pytest.raises(ValueError, match=message) as error:
+        evaluate(pendulum, episodes=10**9, physics=physics)
+    assert "\n" not in str(error.value)
+    monkeypatch.setattr(scoring, "available_bytes", lambda: 10**30)
+    with pytest.raises(ValueError, match="choose fewer --episodes"):
+        evaluate(pendulum, episodes=2**31, physics=physics)  # more than an index counts
 
 
 def test_a_score_is_repeatable_and_seeds_differ(pendulum):
@@ -99,10 +152,11 @@ def test_options_reach_gymnasium_too(hopper, tmp_path):
     ],
 )
 def test_what_cannot_be_scored_is_refused(pendulum, arguments, message):
-    before = pendulum.evaluation.exists() and pendulum.evaluation.read_bytes()
+    before = {path: path.is_file() and path.read_bytes() for path in pendulum.path.rglob("*")}
     with pytest.raises(ValueError, match=message):
         evaluate(pendulum, **arguments)
-    assert before == (pendulum.evaluation.exists() and pendulum.evaluation.read_bytes())
+    after = {path: path.is_file() and path.read_bytes() for path in pendulum.path.rglob("*")}
+    assert after == before
 
 
 def test_brax_has_no_official_task(tmp_path):

@@ -1,0 +1,39 @@
+"""What does not fit the memory is refused before anything is allocated."""
+
+import jax
+import pytest
+
+from mapg_jax.runs import memory
+from mapg_jax.runs.train import begin
+from mapg_jax.training.config import Config
+
+
+def test_what_does_not_fit_is_refused_before_anything_is_allocated(tmp_path, monkeypatch):
+    monkeypatch.setattr(memory, "available_bytes", lambda: 2_000_000_000)
+    config = Config(env="humanoid")
+    arrays = len(jax.live_arrays())
+    message = r"needs 2\.9 GB, .*1,000,000 transitions.* 2\.0 GB are available.*--replay-size"
+    with pytest.raises(ValueError, match=message):
+        begin(config, tmp_path / "run")
+    assert len(jax.live_arrays()) == arrays
+    assert not list(tmp_path.iterdir())
+    monkeypatch.setattr(memory, "available_bytes", lambda: 3_000_000_000)
+    memory.prepare(config)
+
+
+def test_what_takes_the_most_is_named(monkeypatch):
+    monkeypatch.setattr(memory, "available_bytes", lambda: 10_000_000_000)
+    for changes, message in (
+        (
+            {"heads": 100_000_000},
+            r"of which the networks with 100,000,000 heads are the most, .*--heads",
+        ),
+        ({"replay_size": 2**30}, r"replay of 1,073,741,824 transitions .* smaller --replay-size"),
+        ({"algorithm": "a3c", "environments": 2**30}, "choose fewer --environments"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            memory.prepare(Config(**changes))
+
+
+def test_available_memory_is_this_machines():
+    assert 10e6 < memory.available_bytes() < 1e15
