@@ -5,21 +5,23 @@ import csv
 import dataclasses
 import math
 import pathlib
+import shutil
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from mapg_jax.runs.runner import start
-from mapg_jax.training.a3c_training import A3cTrainer
 
 from envs.base import Env, State, with_episodes
-from mapg_jax.algorithms.mapg import Transition, UpdateMetrics
+from mapg_jax.algorithms.base import Transition
+from mapg_jax.algorithms.mapg import UpdateMetrics
 from mapg_jax.reports.results import Result
 from mapg_jax.runs.checkpoints import Checkpoints
 from mapg_jax.runs.folder import RunFolder, write_json
-from mapg_jax.training.agent import MapgAgent, make_agent
+from mapg_jax.runs.train import begin
+from mapg_jax.training import trainer
+from mapg_jax.training.agent import Agent, make_agent
 from mapg_jax.training.config import Config
-from mapg_jax.training.trainer import Trainer, TrainState
+from mapg_jax.training.state import TrainState
 
 # ----- tiny environments
 
@@ -120,7 +122,7 @@ RUN = dataclasses.replace(
 """A whole run on Pendulum with a checkpoint after every chunk, the first one at step 64."""
 
 
-class CountingAgent(MapgAgent):
+class CountingAgent(Agent):
     """Counts its updates; as metrics it gives numbers of its key and of its batch, and squares."""
 
     def learn(self, state, batch, key):
@@ -133,15 +135,15 @@ class CountingAgent(MapgAgent):
 def make_trainer(env: Env, time_limit: int, config: Config, padded_heads: int | None = None):
     """A trainer on an environment without a name."""
     agent = make_agent(config, env.action_size, padded_heads)
-    trainer = A3cTrainer if config.algorithm == "a3c" else Trainer
-    return trainer(config, with_episodes(env, time_limit), agent)
+    return trainer.Trainer(config, with_episodes(env, time_limit), agent)
 
 
 def untrained_run(config: Config, path: pathlib.Path) -> RunFolder:
     """A run folder with a checkpoint of the initial agent; nothing but `init` is compiled."""
-    run = start(config, path)
+    run = begin(config, path)
     state = run.trainer.jitted_init(config.seed)
-    state = state.replace(replay=state.replay.replace(size=jnp.int32(1)))
+    if state.replay is not None:
+        state = state.replace(replay=state.replay.replace(size=jnp.int32(1)))
     Checkpoints(run.folder.checkpoints, kept=1).save(state, {"seconds": 0.0})
     return run.folder
 
@@ -159,6 +161,42 @@ def assert_equal(got, expected) -> None:
 def stored(state: TrainState) -> Transition:
     """The transitions in the replay, in the order of the slots."""
     return jax.tree.map(lambda x: np.asarray(x)[: int(state.replay.size)], state.replay.data)
+
+
+# ----- runs that were trained
+
+
+CLOCK = ("seconds", "per_second")
+"""How the names of columns end that depend on the clock."""
+
+
+def copy_run(run: RunFolder, path: pathlib.Path, upto: int | None = None) -> RunFolder:
+    """A copy, without the checkpoints after a step."""
+    shutil.copytree(run.path, path)
+    folder = RunFolder.open(path)
+    for checkpoint in folder.checkpoints.iterdir():
+        if upto is not None and int(checkpoint.name) > upto:
+            shutil.rmtree(checkpoint)
+    return folder
+
+
+def newest_state(folder: RunFolder) -> TrainState:
+    """The state of its newest checkpoint."""
+    shapes = trainer.make_trainer(folder.config).shapes
+    return Checkpoints(folder.checkpoints).load(shapes)[0]
+
+
+def metrics_without_clock(folder: RunFolder) -> list[dict[str, str]]:
+    """The text of every column that does not depend on the clock."""
+    with folder.metrics.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    return [{k: v for k, v in row.items() if not k.endswith(CLOCK)} for row in rows]
+
+
+def assert_same_run(folder: RunFolder, expected: RunFolder) -> None:
+    """The same newest state to the last bit, and the same metrics."""
+    assert_equal(newest_state(folder), newest_state(expected))
+    assert metrics_without_clock(folder) == metrics_without_clock(expected)
 
 
 # ----- networks, as lists of arrays
