@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: demo test test-mjx check lint types bench bench-peers clean
+.PHONY: demo test test-mjx check lint types bench bench-peers bench-compare clean
 
 demo: .venv/ready  ## train MAPG (M = 10) on Pendulum and score it over 100 episodes
 	$(BIN)/mapg train --env pendulum --heads 10 --steps 40000 --evaluate-every 2000
@@ -27,6 +27,9 @@ bench: .venv/ready  ## speed, against peers where they are installed
 	$(BIN)/python -m benchmarks
 
 bench-peers: .venv-peers/ready  ## installs the peers for `make bench`
+
+bench-compare: .venv/ready  ## speed against another checkout: make bench-compare OTHER=../before
+	$(BIN)/python -m benchmarks.compare $(OTHER)
 
 .venv/ready: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; v = sys.version_info[:2]; (3, 11) <= v <= (3, 13) or sys.exit(f"Python {v[0]}.{v[1]} found, 3.11 to 3.13 needed: make PYTHON=python3.12")'

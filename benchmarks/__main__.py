@@ -1,5 +1,9 @@
-"""make bench: measures, prints the tables and writes them to benchmarks/results.md."""
+"""make bench: measures, prints the tables and writes them to benchmarks/results.md.
 
+`--quick` measures too little to mean anything and writes no file: it shows that all of it runs.
+"""
+
+import argparse
 import datetime
 import importlib.metadata
 import os
@@ -9,57 +13,41 @@ import tempfile
 
 import numpy as np
 
-from benchmarks import driving, learner, physics, sweep
+from benchmarks import commands, driving, learning, physics, sweep
 
 ROUNDS = 3
-STEPS = 60_000
-PEER_STEPS = 5_000
 REPORT = pathlib.Path("benchmarks/results.md")
 
 
 def main() -> None:
-    sections = [_header(), _learner(), _physics(), _start(), driving.report(), sweep.report()]
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="only see that it runs")
+    quick = parser.parse_args().quick
+    rounds = 1 if quick else ROUNDS
+    sections = [
+        _header(rounds),
+        learning.report(rounds, quick),
+        _physics(),
+        _start(rounds),
+        driving.report(),
+        sweep.report(rounds, quick),
+    ]
     text = "\n\n".join(sections) + "\n"
-    REPORT.write_text(text)
+    if not quick:
+        REPORT.write_text(text)
     print(text)
 
 
-def _header() -> str:
+def _header(rounds: int) -> str:
     packages = ("jax", "mujoco", "flax", "optax")
     versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in packages)
     return (
         "# Speed\n\n"
         f"Written by `make bench` on {datetime.date.today()}: {platform.machine()}, "
         f"{len(os.sched_getaffinity(0))} cores, Python {platform.python_version()}, {versions}. "
-        f"Medians of {ROUNDS} interleaved rounds, each run a process of its own; of learning, the "
+        f"Medians of {rounds} interleaved rounds, each run a process of its own; of learning, the "
         "rate once compiled and learning, evaluation apart, on both sides alike."
     )
-
-
-def _learner() -> str:
-    rates = {"M = 1": [], "M = 10": [], "sbx": []}
-    for _ in range(ROUNDS):
-        rates["M = 1"].append(learner.ours(1, STEPS))
-        rates["sbx"].append(learner.sbx(PEER_STEPS))
-        rates["M = 10"].append(learner.ours(10, STEPS))
-    lines = [
-        "## Learning: HalfCheetah, 64-64, batch 64, no layer norm, one update a step",
-        "",
-        "| | environment steps/s | times sbx-rl's DDPG | wanted |",
-        "|---|---|---|---|",
-    ]
-    peers = None if rates["sbx"][0] is None else np.array(rates["sbx"])
-    for name, wanted in (("M = 1", 6), ("M = 10", 4.5)):
-        ours = np.array(rates[name])
-        ratio = "not measured" if peers is None else f"{np.median(ours / peers):.1f}"
-        lines.append(f"| {name} | {np.median(ours):,.0f} | {ratio} | {wanted} |")
-    if peers is None:
-        lines += ["", "sbx-rl is missing: `make bench-peers` installs it."]
-    else:
-        lines.append(f"| sbx-rl DDPG | {np.median(peers):,.0f} | 1 | |")
-    cost = np.median(np.array(rates["M = 1"]) / np.array(rates["M = 10"]))
-    lines += ["", f"M = 10 takes {cost:.2f} times the time of M = 1 (wanted: at most 1.35)."]
-    return "\n".join(lines)
 
 
 def _physics() -> str:
@@ -80,12 +68,12 @@ def _physics() -> str:
     return "\n".join(lines)
 
 
-def _start() -> str:
+def _start(rounds: int) -> str:
     colds, warms = [], []
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         with tempfile.TemporaryDirectory() as cache:
-            colds.append(learner.seconds_to_first_update(cache))
-            warms.append(learner.seconds_to_first_update(cache))
+            for times in (colds, warms):
+                times.append(commands.seconds_to_learning(commands.ROOT, "halfcheetah", cache))
     return (
         "## From `mapg train --env halfcheetah` to the first learning step\n\n"
         f"cold {np.median(colds):.1f} s (wanted: under 15), "

@@ -8,21 +8,21 @@ import tempfile
 
 import numpy as np
 
-from mapg_jax.runs.metrics import read_metrics
+from benchmarks import commands
 
 STEPS = 60_000
-ROUNDS = 3
 SETTINGS = ["--env", "halfcheetah", "--evaluation-episodes", "1", "--final-episodes", "1"]
 
 
-def report() -> str:
-    """The section of the report."""
+def report(rounds: int, quick: bool) -> str:
+    """The section of the page."""
+    steps = 2_000 if quick else STEPS
     if len(os.sched_getaffinity(0)) < 2:
         return "## Sweeps\n\nnot measured: one core"
     ratios = []
-    for _ in range(ROUNDS):
-        alone = np.median([_rate(workers=1) for _ in range(2)])
-        ratios.append(_rate(workers=2) / alone)
+    for _ in range(rounds):
+        alone = np.median([_rate(1, steps) for _ in range(2)])
+        ratios.append(_rate(2, steps) / alone)
     return (
         "## Sweeps: HalfCheetah, M = 10, two worker processes on two cores against one on one\n\n"
         f"{np.median(ratios):.2f} times the environment steps a second (wanted: 1.7); "
@@ -31,10 +31,10 @@ def report() -> str:
     )
 
 
-def _rate(workers: int) -> float:
+def _rate(workers: int, steps: int) -> float:
     """Environment steps per second of as many runs side by side as there are workers."""
     arguments = [*SETTINGS, "--seeds", str(workers), "--workers", str(workers)]
-    arguments += ["--steps", str(STEPS), "--evaluate-every", str(STEPS // 2)]
+    arguments += ["--steps", str(steps), "--evaluate-every", str(steps // 2)]
     # One process gets one core: the other would step its physics too.
     cores = sorted(os.sched_getaffinity(0))[:workers]
     with tempfile.TemporaryDirectory() as parent:
@@ -46,8 +46,4 @@ def _rate(workers: int) -> float:
             check=True,
             preexec_fn=lambda: os.sched_setaffinity(0, cores),
         )
-        return sum(read_metrics(f)[-1]["steps_per_second"] for f in out.glob("*/metrics.csv"))
-
-
-if __name__ == "__main__":
-    print(report())
+        return sum(commands.last_rate(file.parent) for file in out.glob("*/metrics.csv"))

@@ -8,6 +8,7 @@ and resets belong to `with_episodes`.
 import abc
 import contextlib
 import functools
+import pathlib
 from collections.abc import Callable
 from typing import Any
 
@@ -15,11 +16,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.custom_batching import custom_vmap
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
 with contextlib.redirect_stdout(None):  # importing brax.envs prints what its backends lack
     import brax.envs.base
     from brax.envs.base import State, Wrapper
+
+from envs.scored import ScoredMetric
 
 __all__ = ["Action", "Env", "Episodes", "State", "Wrapper", "where_ended", "with_episodes"]
 
@@ -32,13 +35,37 @@ class Env(brax.envs.base.Env):
 
     action_high: np.ndarray
     """[A] float32, what an action of 1 is in Gymnasium's units."""
-    scored_metrics: tuple[str, ...] = ()
-    """The metrics whose values at an episode's last step belong to its score, beside the return."""
+    scored_metrics: tuple[ScoredMetric, ...] = ()
+    """What belongs to a score, beside the return."""
 
     @property
     @abc.abstractmethod
     def observation_size(self) -> int:
         """D."""
+
+    def render(self, states: Any, folder: pathlib.Path) -> list[pathlib.Path]:
+        """Draws an episode into files of `folder`, which it returns; not every environment can.
+
+        Args:
+          states: its physics states, `State.pipeline_state` with leaves [T, ...].
+          folder: exists already.
+
+        Raises:
+          NotImplementedError: if the environment has no drawing.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no drawing of its episodes")
+
+    def clipped(self, action: Action) -> Float32[jax.Array, "A"]:
+        """The action as a step takes it.
+
+        Raises:
+          ValueError: if its length is not A.
+        """
+        if np.shape(action) != (self.action_size,):
+            raise ValueError(
+                f"an action must have shape ({self.action_size},), got {np.shape(action)}"
+            )
+        return jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0)
 
 
 RESETS_PER_ROUND = 1 / 16

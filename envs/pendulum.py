@@ -60,7 +60,7 @@ class Pendulum(Env):
             return State(_to_bits(values), _observation(values), zero, zero, {}, {})
 
     def step(self, state: State, action: Action) -> State:
-        torque = (jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0) * MAX_TORQUE)[0]
+        torque = (self.clipped(action) * MAX_TORQUE)[0]
         with jax.enable_x64(True):
             theta, theta_dot = _from_bits(state.pipeline_state)
             angle = (theta + np.pi) % (2 * np.pi) - np.pi

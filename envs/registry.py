@@ -1,33 +1,23 @@
 """Names of environments, and how each is made."""
 
 import dataclasses
+import importlib.metadata
 import inspect
+import pkgutil
+import re
 import typing
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
 
-import jax
-
-from envs.base import Env
-from envs.driving.env import Driving
-from envs.interop import brax
-from envs.mujoco_env import ENGINES, MujocoEnv
-from envs.mujoco_tasks.ant import Ant
-from envs.mujoco_tasks.halfcheetah import HalfCheetah
-from envs.mujoco_tasks.hopper import Hopper
-from envs.mujoco_tasks.humanoid import Humanoid
-from envs.mujoco_tasks.humanoid_standup import HumanoidStandup
-from envs.mujoco_tasks.inverted_double_pendulum import InvertedDoublePendulum
-from envs.mujoco_tasks.inverted_pendulum import InvertedPendulum
-from envs.mujoco_tasks.pusher import Pusher
-from envs.mujoco_tasks.reacher import Reacher
-from envs.mujoco_tasks.swimmer import Swimmer
-from envs.mujoco_tasks.task import MujocoTask
-from envs.mujoco_tasks.walker2d import Walker2d
-from envs.pendulum import Pendulum
 from envs.values import fits
 
+if TYPE_CHECKING:  # at run time each is imported where an environment is made: see `envs`
+    from envs.base import Env
+
 BRAX = "brax:"
+ENTRY_POINTS = "mapg_jax.envs"
+"""The group in which an installed package names its environments."""
+PHYSICS_ENGINES = ("native", "mjx")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,62 +26,87 @@ class EnvSpec:
 
     name: str
     engines: tuple[str, ...]
-    """The physics engines it runs on."""
+    """The physics engines it runs on; ("jax",) for one that needs none."""
     gymnasium_id: str | None
     """The Gymnasium task it equals."""
     time_limit: int
     """Steps after which an episode is truncated."""
-    cls: Callable[..., Any]
-    """A task for the physics engines, or an environment; its keyword arguments are the options."""
+    constructor: Callable[..., Any] | str
+    """Makes an `Env`, a `MujocoTask` or an environment of Brax; its keyword arguments are the
+    options. Text "module:name" is imported at the first use."""
+
+    def load(self) -> Callable[..., Any]:
+        """The constructor itself."""
+        constructor = self.constructor
+        return pkgutil.resolve_name(constructor) if isinstance(constructor, str) else constructor
 
 
-def _mujoco(name: str, task: type[MujocoTask]) -> EnvSpec:
-    return EnvSpec(name, tuple(ENGINES), task.gymnasium_id, task.time_limit, task)
+_SPECS: dict[str, EnvSpec] = {}
 
 
-_SPECS = {
-    spec.name: spec
-    for spec in (
-        EnvSpec("pendulum", ("jax",), "Pendulum-v1", 200, Pendulum),
-        _mujoco("hopper", Hopper),
-        _mujoco("walker2d", Walker2d),
-        _mujoco("halfcheetah", HalfCheetah),
-        _mujoco("swimmer", Swimmer),
-        _mujoco("humanoid", Humanoid),
-        _mujoco("inverted_pendulum", InvertedPendulum),
-        _mujoco("inverted_double_pendulum", InvertedDoublePendulum),
-        _mujoco("ant", Ant),
-        _mujoco("reacher", Reacher),
-        _mujoco("pusher", Pusher),
-        _mujoco("humanoid_standup", HumanoidStandup),
-        EnvSpec("driving", ("jax",), None, 10_000, Driving),  # 200 s at 50 Hz
-    )
-}
+def register(
+    name: str,
+    make: Callable[..., Any] | str,
+    *,
+    time_limit: int,
+    gymnasium_id: str | None = None,
+    engines: tuple[str, ...] | None = None,
+) -> None:
+    """Adds an environment under a name, for this process.
+
+    Args:
+      name: letters, digits, - and _, beginning with a letter.
+      make: a class or function that returns an `Env`, a `MujocoTask` or an environment of Brax, or
+        "module:name" of one; its keyword arguments are the options.
+      time_limit: steps after which an episode is truncated.
+      gymnasium_id: the Gymnasium task it equals.
+      engines: the physics engines it runs on; both where `make` is a `MujocoTask`, else "jax".
+
+    Raises:
+      ValueError: if the name is taken or malformed, or the time limit is below 1.
+    """
+    if not re.fullmatch(r"[A-Za-z][\w-]*", name, re.ASCII):
+        raise ValueError(
+            "an environment's name is letters, digits, - and _, beginning with a letter; "
+            f"got {name!r}"
+        )
+    if name in _SPECS:
+        raise ValueError(f"there is an environment {name!r} already; choose another name")
+    if time_limit < 1:
+        raise ValueError(f"time_limit must be at least 1 step, got {time_limit}")
+    if engines is None:
+        engines = PHYSICS_ENGINES if _is_task(make) else ("jax",)
+    _SPECS[name] = EnvSpec(name, engines, gymnasium_id, time_limit, make)
 
 
 def names() -> tuple[str, ...]:
-    """The names that `make` takes, besides `brax:<name>`."""
-    return tuple(_SPECS)
+    """The names that `make` takes, besides `brax:<name>`; installed packages' are not loaded."""
+    return tuple(dict.fromkeys([*_SPECS, *_entry_points()]))
 
 
 def spec(name: str) -> EnvSpec:
     """What is known of the environment `name`.
 
     Raises:
-      ValueError: if there is no such environment.
+      ValueError: if there is no such environment, or its package cannot be loaded.
     """
     if name.startswith(BRAX):
-        cls = brax.environment_class(name.removeprefix(BRAX))
-        return EnvSpec(name, ("jax",), None, brax.TIME_LIMIT, cls)
+        from envs.interop import brax
+
+        constructor = brax.constructor(name.removeprefix(BRAX))
+        return EnvSpec(name, ("jax",), None, brax.TIME_LIMIT, constructor)
     if name not in _SPECS:
-        raise ValueError(
-            f"unknown environment {name!r}; known are {', '.join(names())}, "
-            f"and {BRAX}<name> for those of Brax"
-        )
+        found = _entry_points()
+        if name not in found:
+            raise ValueError(
+                f"unknown environment {name!r}; known are {', '.join(names())}, "
+                f"and {BRAX}<name> for those of Brax"
+            )
+        _load(found[name])
     return _SPECS[name]
 
 
-def make(name: str, /, engine: str = "auto", **options: Any) -> Env:
+def make(name: str, /, engine: str = "auto", **options: Any) -> "Env":
     """The bare task `name`: `done` is termination only; no time limit and no automatic reset.
 
     Args:
@@ -103,22 +118,113 @@ def make(name: str, /, engine: str = "auto", **options: Any) -> Env:
       ValueError: if the name, the engine or an option is unknown.
     """
     found = spec(name)
-    parameters = inspect.signature(found.cls).parameters.values()
-    known = [p.name for p in parameters if p.kind is not p.VAR_KEYWORD]
-    hints = typing.get_type_hints(found.cls.__init__)
-    for option, value in options.items():
-        if option not in known:
-            raise ValueError(f"{name} has no option {option!r}; it has {', '.join(known)}")
-        hint = hints.get(option, Any)
-        if not fits(value, hint):
-            expected = getattr(hint, "__name__", hint) if isinstance(hint, type) else hint
-            raise ValueError(f"{name}'s option {option} must be {expected}, got {value!r}")
+    constructor = found.load()
+    _check_options(name, inspect.signature(constructor, eval_str=True).parameters, options)
     if engine == "auto":
-        default = "native" if jax.default_backend() == "cpu" else "mjx"
-        engine = default if default in found.engines else found.engines[0]
+        engine = _default_engine(found)
     if engine not in found.engines:
         raise ValueError(f"{name} has no engine {engine!r}; it has {', '.join(found.engines)}")
-    made = found.cls(**options)
+    return _as_env(name, constructor(**options), engine)
+
+
+def _default_engine(spec: EnvSpec) -> str:
+    import jax
+
+    default = "native" if jax.default_backend() == "cpu" else "mjx"
+    return default if default in spec.engines else spec.engines[0]
+
+
+def _check_options(
+    name: str, parameters: Mapping[str, inspect.Parameter], options: Mapping[str, Any]
+) -> None:
+    known = {k: p for k, p in parameters.items() if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)}
+    for option, value in options.items():
+        if option not in known:
+            raise ValueError(
+                f"{name} has no option {option!r}; it has {', '.join(known) or 'none'}"
+            )
+        hint = known[option].annotation
+        if hint is not inspect.Parameter.empty and not fits(value, hint):
+            raise ValueError(f"{name}'s option {option} must be {_text(hint)}, got {value!r}")
+    missing = [k for k, p in known.items() if p.default is p.empty and k not in options]
+    if missing:
+        raise ValueError(f"{name} needs the option {missing[0]!r}")
+
+
+def _text(hint: Any) -> str:
+    if typing.get_origin(hint) is typing.Literal:
+        return " or ".join(map(repr, typing.get_args(hint)))
+    return getattr(hint, "__name__", str(hint)) if isinstance(hint, type) else str(hint)
+
+
+def _as_env(name: str, made: Any, engine: str) -> "Env":
+    from envs.base import Env
+    from envs.interop.brax import BraxEnv, is_brax
+    from envs.mujoco_env import MujocoEnv
+    from envs.mujoco_tasks.task import MujocoTask
+
+    if isinstance(made, Env):
+        return made
     if isinstance(made, MujocoTask):
+        if engine not in PHYSICS_ENGINES:
+            raise ValueError(f"{name} is a MuJoCo task: register it with engines={PHYSICS_ENGINES}")
         return MujocoEnv(made, engine)
-    return brax.BraxEnv(made) if name.startswith(BRAX) else made
+    if is_brax(made):
+        return BraxEnv(made)
+    raise ValueError(
+        f"{name} must be an Env, a MujocoTask or an environment of Brax, got {type(made).__name__}"
+    )
+
+
+def _is_task(make: Any) -> bool:
+    if not isinstance(make, type):
+        return False
+    from envs.mujoco_tasks.task import MujocoTask
+
+    return issubclass(make, MujocoTask)
+
+
+def _entry_points() -> dict[str, importlib.metadata.EntryPoint]:
+    return {point.name: point for point in importlib.metadata.entry_points(group=ENTRY_POINTS)}
+
+
+def _load(point: importlib.metadata.EntryPoint) -> None:
+    """Imports what an installed package names; the import registers the environment."""
+    package = point.dist.name if point.dist else point.value
+    try:
+        point.load()
+    except Exception as error:  # whatever a stranger's module does
+        raise ValueError(
+            f"the environment {point.name!r} of the package {package} cannot be loaded: {error!r}"
+        ) from error
+    if point.name not in _SPECS:
+        raise ValueError(
+            f"the package {package} names an environment {point.name!r}, but importing "
+            f"{point.value} does not register it"
+        )
+
+
+def _register_task(name: str, task: str, time_limit: int = 1000) -> None:
+    """One of Gymnasium's tasks on MuJoCo."""
+    register(
+        name,
+        f"envs.mujoco_tasks.{name}:{task}",
+        time_limit=time_limit,
+        gymnasium_id=f"{task}-v5",
+        engines=PHYSICS_ENGINES,
+    )
+
+
+register("pendulum", "envs.pendulum:Pendulum", time_limit=200, gymnasium_id="Pendulum-v1")
+_register_task("hopper", "Hopper")
+_register_task("walker2d", "Walker2d")
+_register_task("halfcheetah", "HalfCheetah")
+_register_task("swimmer", "Swimmer")
+_register_task("humanoid", "Humanoid")
+_register_task("inverted_pendulum", "InvertedPendulum")
+_register_task("inverted_double_pendulum", "InvertedDoublePendulum")
+_register_task("ant", "Ant")
+_register_task("reacher", "Reacher", time_limit=50)
+_register_task("pusher", "Pusher", time_limit=100)
+_register_task("humanoid_standup", "HumanoidStandup")
+register("driving", "envs.driving.env:Driving", time_limit=10_000)  # 200 s at 50 Hz

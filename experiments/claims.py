@@ -8,6 +8,7 @@ import numpy as np
 from experiments import fig2, fig3, fig4, heads, overhead, scores, table2, torcs
 from experiments.plan import A3C, DDPG, MAPG, NO_NOISE, Plan
 from mapg_jax.reports import inference as statistics
+from mapg_jax.reports.document import Table
 from mapg_jax.training.config import Config
 
 SUPPORTED, CONTRADICTED = "supported", "contradicted"
@@ -31,9 +32,8 @@ def runs(plan: Plan) -> list[Config]:
 
 def section(plan: Plan) -> str:
     """The ledger as a table."""
-    lines = ["| | claim | evidence | verdict |", "|---|---|---|---|"]
-    lines += [f"| {v.claim} | {v.text} | {v.evidence} | **{v.verdict}** |" for v in ledger(plan)]
-    return "\n".join(lines) + (
+    lines = [(v.claim, v.text, v.evidence, f"**{v.verdict}**") for v in ledger(plan)]
+    return Table(("", "claim", "evidence", "verdict"), lines).markdown() + (
         "\n\nP is the probability of improvement: the share of pairs of seeds in which the first "
         "named scores higher, with its 95 % interval over seeds (wider where one task of several "
         "is enough to contradict); n counts seeds. A verdict needs three seeds in every cell it "
@@ -127,8 +127,8 @@ def c2b(plan: Plan) -> Verdict:
 
 def c3(plan: Plan) -> Verdict:
     found = fig2.statistics_by_seed(plan)
-    n = len(found["spikes"])
-    step, reward, spikes = (statistics.student(values) for values in found.values())
+    n = len(found.spikes)
+    step, reward, spikes = (statistics.student(values) for values in found)
     correlations = [statistics.verdict(e, 0.0, n) for e in (step, reward)]
     verdict = UNDECIDED
     if correlations == ["below", "below"] and statistics.verdict(spikes, 2.0, n) == "above":
@@ -138,7 +138,7 @@ def c3(plan: Plan) -> Verdict:
     evidence = (
         f"rank correlation of spread with step {step:.3g}, with return {reward:.3g}; "
         f"largest over median spread of the second half {spikes:.3g}; "
-        f"{_count(*found.values())}"
+        f"{_count(*found)}"
     )
     text = "the spread of the actions falls as the return rises, with spikes that stay"
     return Verdict("C3", text, evidence, verdict)

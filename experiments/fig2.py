@@ -1,5 +1,7 @@
 """Figure 2: spread of the ten actions and return while Pendulum is learnt."""
 
+from typing import NamedTuple
+
 import numpy as np
 import scipy.stats
 
@@ -73,17 +75,28 @@ def draw(found: list[dict[str, np.ndarray]]):
     return figure
 
 
-def statistics_by_seed(plan: Plan) -> dict[str, list[float]]:
-    """Of every seed: two rank correlations, and the spikes of the second half of training.
+class BySeed(NamedTuple):
+    """What C3 is judged by, a number a seed.
 
     nan where a number that never changes has no rank, or the median spread is 0.
     """
-    found: dict[str, list[float]] = {"spread with step": [], "spread with return": [], "spikes": []}
+
+    with_step: list[float]
+    """Rank correlation of spread with step."""
+    with_return: list[float]
+    """Rank correlation of spread with return."""
+    spikes: list[float]
+    """The largest spread of the second half of training over that half's median."""
+
+
+def statistics_by_seed(plan: Plan) -> BySeed:
+    """Of every seed that has finished."""
+    found = BySeed([], [], [])
     for curve in curves.of(plan, runs(plan)):
         spread = curve["spread"]
-        for name, other in (("step", curve["env_steps"]), ("return", curve["return_mean"])):
-            found[f"spread with {name}"].append(_correlation(spread, other))
+        found.with_step.append(_correlation(spread, curve["env_steps"]))
+        found.with_return.append(_correlation(spread, curve["return_mean"]))
         later = spread[curve["env_steps"] > curve["env_steps"][-1] / 2]
         median = np.median(later)
-        found["spikes"].append(float(later.max() / median) if median > 0 else np.nan)
+        found.spikes.append(float(later.max() / median) if median > 0 else np.nan)
     return found

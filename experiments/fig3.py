@@ -12,7 +12,7 @@ from experiments import rows
 from experiments.plan import MAPG, Plan
 from mapg_jax.algorithms import heads
 from mapg_jax.runs.folder import RunFolder
-from mapg_jax.runs.policy import Policy, load_policy
+from mapg_jax.runs.policy import Policy, open_policy
 from mapg_jax.training.config import Config
 
 STARTS = 100
@@ -30,7 +30,7 @@ def measure(plan: Plan, folder: RunFolder) -> None:
     key = rows.identity(folder.config)
     if rows.holds(plan.measured / BINS, key):
         return
-    angle, spread = play(load_policy(folder.path), folder.config)
+    angle, spread = play(open_policy(folder), folder.config)
     edges = np.arange(-180, 181, BIN)
     counts, _ = np.histogram(angle, edges)
     sums, _ = np.histogram(angle, edges, weights=spread)

@@ -2,6 +2,7 @@
 
 from experiments import curves, rows, scores
 from experiments.plan import DDPG, MAPG, NO_NOISE, Plan
+from mapg_jax.reports.document import Table
 from mapg_jax.reports.plots import draw_curves
 from mapg_jax.training.config import Config
 
@@ -31,12 +32,12 @@ def section(plan: Plan) -> str:
         return rows.missing(runs(plan))
     figure = draw_curves(tasks)
     figure.savefig(plan.results / "fig4.png", dpi=120)
-    lines = [f"| task | {' | '.join(ARMS)} |", "|---|" + "---|" * len(ARMS)]
+    lines = []
     for env in plan.studied:
         cells = [scores.summary(scores.means(plan, arm(plan, env, label))) for label in ARMS]
-        lines.append(f"| {env} | {' | '.join(cells)} |")
+        lines.append([env, *cells])
     return (
         "![With and without noise](fig4.png)\n\n"
         f"Evaluations of {plan.base.evaluation_episodes} episodes without noise, mean over seeds. "
         "Final scores, with the bootstrap's 95 % interval:\n\n"
-    ) + "\n".join(lines)
+    ) + Table(("task", *ARMS), lines).markdown()

@@ -2,7 +2,9 @@
 
 from experiments import curves, rows, scores, selects
 from experiments.plan import MAPG, RULES, Plan
+from mapg_jax.reports.document import Table
 from mapg_jax.reports.plots import draw_curves
+from mapg_jax.reports.results import run_key
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.training.config import Config
 
@@ -28,7 +30,7 @@ def gap_runs(plan: Plan) -> list[Config]:
 
 def measure(plan: Plan, folder: RunFolder) -> None:
     """Scores the last policy of M = 10 by every way to choose among its proposals."""
-    if rows.identity(folder.config) in map(rows.identity, gap_runs(plan)):
+    if run_key(folder.config) in map(run_key, gap_runs(plan)):
         selects.measure(plan, folder, selects.HEADS)
 
 
@@ -49,9 +51,9 @@ def section(plan: Plan) -> str:
             "would be proposals that the critic values alike.",
             "Score by the rule of the actor's gradient and of the target, M = 10, with the "
             "bootstrap's 95 % interval over seeds:",
-            rule_table(plan),
+            rule_table(plan).markdown(),
             "Score of the same policies by the choice at test time, mean over all runs of a cell:",
-            select_table(plan),
+            select_table(plan).markdown(),
         )
     )
 
@@ -62,23 +64,23 @@ def gap_by_seed(plan: Plan, env: str) -> list[float]:
     return [float(curve["q_gap_relative"][-1]) for curve in found]
 
 
-def rule_table(plan: Plan) -> str:
+def rule_table(plan: Plan) -> Table:
     """Mean score by rule."""
-    lines = [f"| task | {' | '.join(RULES)} |", "|---|" + "---|" * len(RULES)]
+    lines = []
     for env in plan.studied:
         cells = [
             scores.summary(scores.means(plan, plan.over_seeds(env, **MAPG, **changes)))
             for changes in RULES.values()
         ]
-        lines.append(f"| {env} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        lines.append([env, *cells])
+    return Table(("task", *RULES), lines)
 
 
-def select_table(plan: Plan) -> str:
+def select_table(plan: Plan) -> Table:
     """Mean score of the same policies by the choice among their proposals."""
-    lines = [f"| task | {' | '.join(selects.HEADS)} |", "|---|" + "---|" * len(selects.HEADS)]
+    lines = []
     for env in (*plan.tasks, "pendulum"):
         of_env = plan.over_seeds(env, **MAPG)
         cells = [scores.summary(selects.means(plan, of_env, s)) for s in selects.HEADS]
-        lines.append(f"| {env} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        lines.append([env, *cells])
+    return Table(("task", *selects.HEADS), lines)

@@ -8,13 +8,16 @@ from collections.abc import Callable
 import jax
 import numpy as np
 
+from envs.engines.simulators import cpus
 from experiments import rows
 from experiments.plan import Plan
 from mapg_jax.reports import inference as statistics
+from mapg_jax.reports.document import Table
 from mapg_jax.runs.folder import this_process
 from mapg_jax.runs.signals import StoppedError, caught_signals
 from mapg_jax.training.config import Config
-from mapg_jax.training.trainer import TrainState, make_trainer
+from mapg_jax.training.state import TrainState
+from mapg_jax.training.trainer import make_trainer
 
 TIMES = "overhead.csv"
 
@@ -38,7 +41,7 @@ def time_arms(plan: Plan) -> None:
     where = {
         "date": process["date"],
         "versions": ", ".join(f"{name} {version}" for name, version in packages.items()),
-        "cores": os.cpu_count(),
+        "cores": cpus(),
         "threads": os.environ.get("NPROC", "all"),  # of XLA
         "load": f"{os.getloadavg()[0]:.2f}",  # of the last minute, by others
     }
@@ -67,7 +70,7 @@ class Arm:
     def __call__(self) -> dict[str, str]:
         """Seconds per environment step, its updates included, and per update alone."""
         steps = self.turns * self.config.environments
-        updates = self.repeats * self.config.environments * float(self.trainer.updates_ratio)
+        updates = self.repeats * self.config.environments * float(self.trainer.turn.updates_ratio)
         return {
             "seconds_per_step": f"{self._time(self.trainer.jitted_run, self.turns) / steps:.4g}",
             "seconds_per_update": f"{self._time(self.updates, self.repeats) / updates:.4g}",
@@ -78,7 +81,7 @@ class Arm:
 
         def turn(i, state):
             keys = jax.random.split(jax.random.fold_in(state.key, i))
-            return self.trainer.learn(state, *keys)
+            return self.trainer.turn.learn(state, *keys)
 
         return jax.lax.fori_loop(0, repeats, turn, state)
 
@@ -110,18 +113,16 @@ def section(plan: Plan) -> str:
     per_step, per_update = (ratios(plan, c) for c in ("seconds_per_step", "seconds_per_update"))
     times = rows.read(plan.measured / TIMES)
     first = times[0]
-    lines = [
-        "| M | µs a step | over M = 1 | µs an update | over M = 1 |",
-        "|---|---|---|---|---|",
-    ]
+    lines = []
     for m in per_step:
         of_m = [row for row in times if row["heads"] == str(m)]
         cells = []
         for column, ratio in (("seconds_per_step", per_step), ("seconds_per_update", per_update)):
             cells.append(f"{1e6 * np.median([float(row[column]) for row in of_m]):.0f}")
             cells.append(f"{statistics.student(ratio[m]):.2f}")
-        lines.append(f"| {m} | {' | '.join(cells)} |")
-    return "\n".join(lines) + (
+        lines.append([str(m), *cells])
+    header = ("M", "µs a step", "over M = 1", "µs an update", "over M = 1")
+    return Table(header, lines).markdown() + (
         f"\n\nHopper, {plan.base.environments} environments, MuJoCo's C engine; threads of XLA: "
         f"{first['threads']}; cores: {first['cores']}; load before it: {first['load']}; "
         f"{first['versions']}; {first['date']}. A step is one environment step with the updates it "

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from experiments import claims, rows, scores, table2
 from experiments.catalogue import TITLES, Name, experiment, runs
 from experiments.plan import Plan, is_the_papers
+from mapg_jax.reports.document import Table
 
 FILE = "README.md"
 HEAD = """# Results
@@ -46,16 +47,18 @@ def with_all_seeds(plan: Plan, name: Name) -> Plan:
 
 def write_headline(plan: Plan, readme: pathlib.Path) -> None:
     """Puts Table 2 and the verdicts where the project's README has its comments for them."""
-    verdicts = ["| | claim | verdict |", "|---|---|---|"]
-    verdicts += [f"| {v.claim} | {v.text} | {v.verdict} |" for v in claims.ledger(plan)]
-    tables = {"table 2": table2.beside_the_paper(plan), "claims": "\n".join(verdicts)}
+    verdicts = [(v.claim, v.text, v.verdict) for v in claims.ledger(plan)]
+    tables = {
+        "table 2": table2.beside_the_paper(plan),
+        "claims": Table(("", "claim", "verdict"), verdicts),
+    }
     if readme.exists():
         text = readme.read_text()
         for name, table in tables.items():
             begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
             before, found, rest = text.partition(begin)
             if found and end in rest:
-                text = f"{before}{begin}\n{table}\n{end}{rest.partition(end)[2]}"
+                text = f"{before}{begin}\n{table.markdown()}\n{end}{rest.partition(end)[2]}"
         readme.write_text(text)
 
 

@@ -7,12 +7,12 @@ from typing import NamedTuple, TextIO
 from experiments import curves, overhead, page, rows, scores
 from experiments.catalogue import TITLES, Name, experiment, runs
 from experiments.plan import Plan
-from mapg_jax.reports.results import UnfinishedError, settings, versions
-from mapg_jax.runs.folder import RunFolder, is_blank, this_process
+from mapg_jax.reports.results import UnfinishedError, run_key, settings, versions
+from mapg_jax.runs.folder import RunFolder, create_folder, is_blank, this_process
 from mapg_jax.runs.locking import lock
 from mapg_jax.runs.member import DIVERGED
 from mapg_jax.runs.signals import StoppedError
-from mapg_jax.sweeps.sweep import run_all
+from mapg_jax.sweeps.sweep import carry_out, make_plan
 from mapg_jax.sweeps.worker import failure_file
 from mapg_jax.training.config import Config
 
@@ -39,11 +39,14 @@ def make(
       workers: runs side by side; by default as many as the cores and the memory allow.
 
     Raises:
-      ValueError: if the results are of another protocol.
+      ValueError: if the results are of another protocol or cannot be written, or there is nothing
+        to make the page from.
       BlockingIOError: if another process is training the runs.
       StoppedError: on SIGINT or SIGTERM, once the runs are saved and the page is written.
     """
     refuse_other_protocols(plan)
+    if not training:
+        refuse_nothing(plan, names)
     failures = []
     try:
         if training:
@@ -69,7 +72,8 @@ def conclude(plan: Plan, names: Sequence[Name]) -> Made:
 
 def training_lock(plan: Plan) -> TextIO:
     """Two processes would both train what is missing."""
-    plan.runs.mkdir(parents=True, exist_ok=True)
+    create_folder(plan.results)  # a page that could not be written is found out before training
+    create_folder(plan.runs)
     return lock(
         plan.runs / ".training.lock",
         f"another mapg paper is training in {plan.runs}; wait for it, "
@@ -79,7 +83,7 @@ def training_lock(plan: Plan) -> TextIO:
 
 def writing_lock(plan: Plan) -> TextIO:
     """Two processes that add rows to the same files would lose some."""
-    plan.results.mkdir(parents=True, exist_ok=True)
+    create_folder(plan.results)
     return lock(plan.results / ".writing.lock", wait=True)
 
 
@@ -107,6 +111,16 @@ def refuse_other_protocols(plan: Plan) -> None:
         raise ValueError(f"{plan.results} holds {theirs}; choose another --out")
 
 
+def refuse_nothing(plan: Plan, names: Sequence[Name]) -> None:
+    """A page of what is missing is none."""
+    begun = any(not is_blank(plan.folder(config)) for config in runs(plan, names))
+    if not (begun or scores.path(plan).exists() or plan.measured.exists()):
+        raise ValueError(
+            f"there is nothing to show: no results in {plan.results}, no runs in {plan.runs}; "
+            "leave out --no-train to train them"
+        )
+
+
 def refuse_to_mix(plan: Plan, waiting: Sequence[Config]) -> None:
     """Runs begun now must compare with those there are, else hours are lost."""
     recorded = scores.read_csv(scores.path(plan))
@@ -118,11 +132,14 @@ def refuse_to_mix(plan: Plan, waiting: Sequence[Config]) -> None:
 
 def train(plan: Plan, names: Sequence[Name], workers: int | None) -> list[str]:
     """Trains what is not in the results and has not diverged; gives the failures."""
-    recorded = [rows.identity_of(result) for result in scores.read_csv(scores.path(plan))]
-    recorded += [
-        {k: row[k] for k in rows.COLUMNS} for row in rows.read(plan.measured / rows.DIVERGED)
+    recorded = {result.run for result in scores.read_csv(scores.path(plan))}
+    diverged = rows.of(plan.measured / rows.DIVERGED, runs(plan, names))
+    named = [{k: row[k] for k in rows.COLUMNS} for row in diverged]
+    waiting = [
+        config
+        for config in runs(plan, names)
+        if run_key(config) not in recorded and rows.identity(config) not in named
     ]
-    waiting = [config for config in runs(plan, names) if rows.identity(config) not in recorded]
     refuse_to_mix(plan, waiting)
     unmeasured: list[str] = []
 
@@ -132,9 +149,9 @@ def train(plan: Plan, names: Sequence[Name], workers: int | None) -> list[str]:
         with writing_lock(plan):
             unmeasured.extend(measure(plan, folder))
 
-    jobs = [(config, plan.folder(config)) for config in waiting]
+    sweep = make_plan([(config, plan.folder(config)) for config in waiting], workers=workers)
     with training_lock(plan):
-        return run_all(jobs, workers=workers, on_finished=add) + unmeasured
+        return carry_out(sweep, on_finished=add) + unmeasured
 
 
 def record_diverged(plan: Plan, configs: Sequence[Config]) -> None:
@@ -153,13 +170,13 @@ def measure(plan: Plan, folder: RunFolder) -> list[str]:
     Returns:
       What went wrong, which must not stop the other runs; nothing, or one line.
     """
-    key = rows.identity(folder.config)
+    key = run_key(folder.config)
     try:
         scores.measure(plan, folder)
         curves.measure(plan, folder)
         for name in TITLES:
             module = experiment(name)
-            if hasattr(module, "measure") and key in map(rows.identity, module.runs(plan)):
+            if hasattr(module, "measure") and key in map(run_key, module.runs(plan)):
                 module.measure(plan, folder)
     except UnfinishedError:
         return []

@@ -1,45 +1,30 @@
 """What is measured on finished runs, as rows of CSV files beside the scores."""
 
-import csv
 import pathlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from mapg_jax.reports.results import Result, settings
+from mapg_jax.reports.results import RunKey, run_key
+from mapg_jax.runs import csv_file
 from mapg_jax.training.config import Config
 
 Row = Mapping[str, Any]
-COLUMNS = ("env", "algorithm", "heads", "seed", "steps", "settings")
+COLUMNS = RunKey._fields
 """Say which run a row is of."""
 DIVERGED = "diverged.csv"
 
 
 def identity(config: Config) -> dict[str, str]:
     """COLUMNS of a run; text, as a CSV file gives it back."""
-    return {
-        "env": config.env,
-        "algorithm": config.slug,
-        "heads": str(config.heads),
-        "seed": str(config.seed),
-        "steps": str(config.steps),
-        "settings": settings(config),
-    }
-
-
-def identity_of(result: Result) -> dict[str, str]:
-    """The same columns of a result."""
-    return {k: str(getattr(result, k)) for k in COLUMNS}
+    return {name: str(value) for name, value in run_key(config)._asdict().items()}
 
 
 def read(path: pathlib.Path) -> list[dict[str, str]]:
     """The rows of a file; none if there is no file."""
-    if not path.exists():
-        return []
-    with path.open(newline="") as file:
-        found = list(csv.DictReader(file))
-    if any(None in row or None in row.values() for row in found):
+    header, found = csv_file.read(path)
+    if any(len(row) != len(header) for row in found):
         raise ValueError(f"{path} is damaged: a row has other columns than the header")
-    return found
+    return [dict(zip(header, row, strict=True)) for row in found]
 
 
 def holds(path: pathlib.Path, key: Row) -> bool:
@@ -50,12 +35,8 @@ def holds(path: pathlib.Path, key: Row) -> bool:
 def append(path: pathlib.Path, new: Sequence[Row]) -> None:
     """Adds rows to a file, all or none, with a header if it is new."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".partial")
-    with partial.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(new[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows([*read(path), *new])
-    partial.replace(path)
+    header = list(new[0])
+    csv_file.write(path, header, ([row[name] for name in header] for row in [*read(path), *new]))
 
 
 def of(path: pathlib.Path, runs: Sequence[Config]) -> list[dict[str, str]]:

@@ -1,15 +1,13 @@
 """The scores of finished runs, in one CSV file."""
 
-import json
 import pathlib
 from collections.abc import Sequence
 
 import numpy as np
 
-from experiments import rows
 from experiments.plan import Plan
 from mapg_jax.reports import inference as statistics
-from mapg_jax.reports.results import Result, append_csv, read_csv, read_run
+from mapg_jax.reports.results import Result, append_csv, read_csv, read_scored, run_key
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.training.config import Config
 
@@ -25,19 +23,22 @@ def measure(plan: Plan, folder: RunFolder) -> None:
       ValueError: if the run was scored otherwise than by the protocol, or does not compare with
         those that are there.
     """
-    result = read_run(folder)
+    result, score = read_scored(folder)
     recorded = read_csv(path(plan))
-    if rows.identity_of(result) in map(rows.identity_of, recorded):
+    if result.run in {other.run for other in recorded}:
         return  # whatever the run was scored by since
-    record = json.loads(folder.evaluation.read_text())
-    episodes = folder.config.final_episodes
-    wanted = {"select": "uniform", "physics": folder.config.make_env().backend,
-              "seed": 0, "episodes": episodes}  # fmt: skip
-    other = [f"{name} {record[name]}" for name, value in wanted.items() if record[name] != value]
+    config = folder.config
+    otherwise = {
+        "select": result.select != "uniform",
+        "physics": result.physics == "gymnasium" or config.engine not in ("auto", result.physics),
+        "seed": score.get("seed") != 0,
+        "episodes": result.episodes != config.final_episodes,
+    }
+    other = [f"{name} {score.get(name)}" for name, differs in otherwise.items() if differs]
     if other:
         raise ValueError(
             f"{folder.path} was scored with {', '.join(other)}; "
-            f"score it by: mapg evaluate {folder.path} --episodes {episodes}"
+            f"score it by: mapg evaluate {folder.path} --episodes {config.final_episodes}"
         )
     if reason := difference(recorded, result.versions, result.env, result.physics):
         raise ValueError(f"{folder.path} {reason}")
@@ -56,9 +57,9 @@ def difference(recorded: Sequence[Result], versions: str, env: str, physics: str
 
 def of(plan: Plan, runs: Sequence[Config]) -> list[Result]:
     """The results of those runs that have finished, by seed."""
-    wanted = [rows.identity(config) for config in runs]
-    found = [result for result in read_csv(path(plan)) if rows.identity_of(result) in wanted]
-    if len({tuple(rows.identity_of(result).values()) for result in found}) < len(found):
+    wanted = {run_key(config) for config in runs}
+    found = [result for result in read_csv(path(plan)) if result.run in wanted]
+    if len({result.run for result in found}) < len(found):
         raise ValueError(f"{path(plan)} holds two scores of one run; leave one out")
     return sorted(found, key=lambda result: result.seed)
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from experiments import rows, scores, selects
 from experiments.plan import A3C, Plan
+from mapg_jax.reports.document import Table
 from mapg_jax.reports.report import arms_table
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.training.config import Config
@@ -39,7 +40,7 @@ def section(plan: Plan) -> str:
             f"Mean ± 3σ over the {plan.base.final_episodes} episodes of a run, as the paper prints "
             "it; ours are averages of both over n seeds. The paper's tasks are the v1 of 2017, "
             "ours Gymnasium's v5. Humanoid has 348 dimensions here: the paper's 376 less 28 zeros.",
-            beside_the_paper(plan),
+            beside_the_paper(plan).markdown(),
             "A3C acts by samples of its Gaussian, as in training; by its mean: "
             f"{mean_action(plan)}.",
             "The same scores with their uncertainty over seeds (docs/report.md):",
@@ -57,15 +58,14 @@ def mean_action(plan: Plan) -> str:
     return "; ".join(texts)
 
 
-def beside_the_paper(plan: Plan) -> str:
+def beside_the_paper(plan: Plan) -> Table:
     """Two lines a task: ours and the paper's."""
-    lines = [f"| task | | {' | '.join(plan.arms())} |", "|---|---|" + "---|" * len(plan.arms())]
+    lines = []
     for env in plan.tasks:
         ours = [_ours(plan, env, changes) for changes in plan.arms().values()]
         papers = [_paper(env, label) for label in plan.arms()]
-        lines.append(f"| {env} | here | {' | '.join(ours)} |")
-        lines.append(f"| | the paper | {' | '.join(papers)} |")
-    return "\n".join(lines)
+        lines += [[env, "here", *ours], ["", "the paper", *papers]]
+    return Table(("task", "", *plan.arms()), lines)
 
 
 def _ours(plan: Plan, env: str, changes) -> str:

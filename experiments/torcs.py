@@ -5,12 +5,14 @@ from collections.abc import Sequence
 from experiments import scores
 from experiments.plan import DDPG, DRIVING, MAPG, Plan
 from mapg_jax.reports import inference as statistics
+from mapg_jax.reports.document import Table
 from mapg_jax.reports.results import Result
 from mapg_jax.training.config import Config
 
 ARMS = {"DDPG": DDPG, "MAPG, M = 10": MAPG}
 PAPER = {"DDPG": 807, "MAPG, M = 10": 5882}
 """m, mean distance of an episode (section 4.5), on another track, without a time limit stated."""
+HEADER = ("", "seed", "distance, m", "laps", "episodes with a lap", "return", "the paper, m")
 
 
 def runs(plan: Plan) -> list[Config]:
@@ -24,16 +26,13 @@ def arm(plan: Plan, changes) -> list[Config]:
 
 def section(plan: Plan) -> str:
     """Distance and laps, seed by seed."""
-    lines = [
-        "| | seed | distance, m | laps | episodes with a lap | return | the paper, m |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    lines = []
     for label, changes in ARMS.items():
         found = scores.of(plan, arm(plan, changes))
         lines += [_seed(label, result) for result in found]
         lines.append(_mean(label, found))
     options = ", ".join(DRIVING["env_options"])
-    return "\n".join(lines) + (
+    return Table(HEADER, lines).markdown() + (
         f"\n\nMeans of {plan.base.final_episodes} episodes, each of at most "
         f"{DRIVING['time_limit']} steps (200 s), on `speedway` (1996 m; {options}: docs/driving.md "
         "says how they were chosen); in the bold lines the mean over n seeds, with its 95 % "
@@ -41,20 +40,30 @@ def section(plan: Plan) -> str:
     )
 
 
-def _seed(label: str, result: Result) -> str:
-    return (
-        f"| {label} | {result.seed} | {result.distance_mean:.0f} | {result.laps_mean:.1f} | "
-        f"{result.lap_share:.0%} | {result.return_mean:.0f} | |"
-    )
+def _seed(label: str, result: Result) -> list[str]:
+    return [
+        label,
+        str(result.seed),
+        f"{result.distance_mean:.0f}",
+        f"{result.laps_mean:.1f}",
+        f"{result.lap_share:.0%}",
+        f"{result.return_mean:.0f}",
+        "",
+    ]
 
 
-def _mean(label: str, found: Sequence[Result]) -> str:
+def _mean(label: str, found: Sequence[Result]) -> list[str]:
     if not found:
-        return f"| **{label}** | | missing | | | | {PAPER[label]} |"
+        return [f"**{label}**", "", "missing", "", "", "", str(PAPER[label])]
     columns = [[getattr(r, c) for r in found] for c in ("distance_mean", "laps_mean", "lap_share")]
     distance, laps, share = map(statistics.mean, columns)
     score = statistics.mean([result.return_mean for result in found])
-    return (
-        f"| **{label}** | n = {len(found)} | {distance:.0f} | {laps:.1f} | "
-        f"{share:.0%} | {score:.0f} | {PAPER[label]} |"
-    )
+    return [
+        f"**{label}**",
+        f"n = {len(found)}",
+        f"{distance:.0f}",
+        f"{laps:.1f}",
+        f"{share:.0%}",
+        f"{score:.0f}",
+        str(PAPER[label]),
+    ]

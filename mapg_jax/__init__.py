@@ -8,6 +8,8 @@ action = policy(observation)
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from mapg_jax import foreign
+
 if TYPE_CHECKING:
     from mapg_jax.algorithms.registry import find as find_algorithm
     from mapg_jax.algorithms.registry import register
@@ -50,5 +52,6 @@ def __getattr__(name: str) -> Any:
     """Public names are imported when they are first used: `mapg --help` needs no JAX."""
     if name not in _PUBLIC:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    foreign.refuse("envs")
     module, _, attribute = _PUBLIC[name].rpartition(".")
     return getattr(importlib.import_module(f"{__name__}.{module}"), attribute)

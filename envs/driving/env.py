@@ -9,21 +9,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float32, Int
 
 from envs.base import Action, Env, State
 from envs.driving import bank as banks
 from envs.driving import sensors as sensing
 from envs.driving.bank import Place
+from envs.driving.drawing import animate, draw_line
 from envs.driving.loaders import load_track
 from envs.driving.powertrain import engine_speed
 from envs.driving.rewards import REWARDS, Motion, progress_kmh
 from envs.driving.sensors import KMH
 from envs.driving.tracks import Track
 from envs.driving.vehicle import WHEEL_X, WHEEL_Y, Car, at_rest, step_car, wrap
+from envs.scored import ScoredMetric
 
 GRASS_FRICTION, GRASS_ROLLING = 0.4, 0.01
 LONGEST_PHYSICS_STEP = 0.005  # s; see `vehicle.step_car`
+
+Values = Any
+"""A JAX array, or a NumPy one where states are recorded, with axes in front: [T], [N]."""
 
 
 class Drive(struct.PyTreeNode):
@@ -43,22 +48,22 @@ class Drive(struct.PyTreeNode):
     last_lap: jax.Array  # [] s, 0 before the first lap's end
 
     @property
-    def x(self) -> jax.Array:
+    def x(self) -> Values:
         """m"""
         return self.car.x
 
     @property
-    def y(self) -> jax.Array:
+    def y(self) -> Values:
         """m"""
         return self.car.y
 
     @property
-    def heading(self) -> jax.Array:
+    def heading(self) -> Values:
         """rad"""
         return self.car.heading
 
     @property
-    def speed(self) -> jax.Array:
+    def speed(self) -> Values:
         """m/s over the ground."""
         return jnp.sqrt(self.car.velocity_x**2 + self.car.velocity_y**2)
 
@@ -91,7 +96,11 @@ class Driving(Env):
     """
 
     action_high = np.ones(3, np.float32)
-    scored_metrics = ("distance", "laps")
+    scored_metrics = (
+        ScoredMetric("distance_mean", "distance", "distance, m"),
+        ScoredMetric("laps_mean", "laps", "laps"),
+        ScoredMetric("lap_share", "laps", "episodes with a lap", lambda laps: np.mean(laps >= 1)),
+    )
 
     def __init__(
         self,
@@ -176,7 +185,7 @@ class Driving(Env):
         return State(cast(Any, drive), self._observe(drive, place), zero, zero, _metrics(drive), {})
 
     def step(self, state: State, action: Action) -> State:
-        drive = self._move(cast(Drive, state.pipeline_state), *controls(action))
+        drive = self._move(cast(Drive, state.pipeline_state), *controls(self.clipped(action)))
         place = banks.place(self.bank, drive.track, drive.cell, drive.x, drive.y)
         forward, _ = drive.car.body_velocity
         motion = Motion(forward, wrap(place.heading - drive.heading), place.position)
@@ -188,6 +197,15 @@ class Driving(Env):
             done=self._ended(drive, motion).astype(jnp.float32),
             metrics={**state.metrics, **_metrics(drive)},
         )
+
+    def render(self, states: Drive, folder: Path) -> list[Path]:
+        """The line on the track as drive.png, and an animation for a browser as drive.html."""
+        track = self.tracks[int(states.track[0])]
+        positions = np.stack([states.x, states.y], -1)
+        picture, animation = folder / "drive.png", folder / "drive.html"
+        draw_line(track, positions, states.speed, picture)
+        animate(track, positions, states.heading, states.speed, self.dt, animation)
+        return [picture, animation]
 
     def _move(self, drive: Drive, steer, accelerator, brake) -> Drive:
         """The car after the physics steps of one control step."""
@@ -245,13 +263,15 @@ class Driving(Env):
         return sensing.observe(car, place, rays, engine_speed(car.wheel_speed, car.gear))
 
 
-def controls(action: Action) -> tuple[jax.Array, jax.Array, jax.Array]:
+def controls(
+    action: Float32[Array, "3"],
+) -> tuple[Float32[Array, ""], Float32[Array, ""], Float32[Array, ""]]:
     """Steer in [-1, 1], accelerator and brake in [0, 1], of an action in [-1, 1]^3.
 
     The brake acts on its positive half alone: the zeros of a fresh actor are half throttle and no
     brake, and the car moves off.
     """
-    action = jnp.clip(jnp.nan_to_num(action.astype(jnp.float32)), -1.0, 1.0)
+    action = jnp.nan_to_num(action)
     return action[0], (action[1] + 1) / 2, jnp.maximum(action[2], 0.0)
 
 

@@ -44,10 +44,12 @@ def range_finders(
     reach = bank.reach
     row = bank.first[track] + cell
     portals = jax.lax.dynamic_slice(bank.edges, (row - reach, 0), (2 * reach + 1, 4))
-    portals = portals - jnp.stack([x, y, x, y])
+    portals = portals - jnp.stack([x, y, x, y])[None]  # as the car sees them
 
     def left_of_rays(points):
-        return ray_x[:, None] * points[:, 1] - ray_y[:, None] * points[:, 0]  # [R, points]
+        return (
+            ray_x[:, None] * points[None, :, 1] - ray_y[:, None] * points[None, :, 0]
+        )  # [R, points]
 
     # Most of the work is here; the smallest integers that count so far make it a third shorter.
     number = np.arange(reach + 1, dtype=np.min_scalar_type(reach))

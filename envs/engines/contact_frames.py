@@ -7,8 +7,8 @@ Ant's control steps come out differently, by up to 0.02 in qpos and 1.5 in qvel.
 """
 
 import contextlib
-import threading
 from collections.abc import Iterator
+from contextvars import ContextVar
 
 import jax
 import jax.numpy as jnp
@@ -19,8 +19,18 @@ from mujoco.mjx._src.types import GeomType
 PAIR = (GeomType.PLANE, GeomType.CAPSULE)
 MIN_LENGTH = 1e-6  # of the capsule's unit axis seen from above: shorter ones have no direction
 
-_lock = threading.RLock()
+_wanted = ContextVar("MuJoCo's contact frames", default=False)  # each thread has its own
 _mjx_plane_capsule = collision_driver._COLLISION_FUNC[PAIR]
+
+
+@contextlib.contextmanager
+def mujoco_contact_frames() -> Iterator[None]:
+    """What this thread traces inside has MuJoCo's frames; MJX is as it was for everybody else."""
+    token = _wanted.set(True)
+    try:
+        yield
+    finally:
+        _wanted.reset(token)
 
 
 def _plane_capsule(
@@ -28,6 +38,8 @@ def _plane_capsule(
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Distances, positions and frames of two contacts a pair, as MJX's table of colliders wants."""
     distance, position, frame = _mjx_plane_capsule(model, data, key, geoms)
+    if not _wanted.get():
+        return distance, position, frame
     normal = frame[:, 0]
     axis = jnp.repeat(data.geom_xmat[geoms[:, 1], :, 2], _mjx_plane_capsule.ncon, axis=0)
     along = axis - normal * (normal * axis).sum(-1, keepdims=True)
@@ -37,14 +49,4 @@ def _plane_capsule(
 
 
 _plane_capsule.ncon = _mjx_plane_capsule.ncon  # pyright: ignore[reportFunctionMemberAccess]
-
-
-@contextlib.contextmanager
-def mujoco_contact_frames() -> Iterator[None]:
-    """What is traced inside has MuJoCo's frames; MJX is as it was for everybody else."""
-    with _lock:
-        collision_driver._COLLISION_FUNC[PAIR] = _plane_capsule
-        try:
-            yield
-        finally:
-            collision_driver._COLLISION_FUNC[PAIR] = _mjx_plane_capsule
+collision_driver._COLLISION_FUNC[PAIR] = _plane_capsule

@@ -1,9 +1,11 @@
 """Brax's own environments under our contract."""
 
 import contextlib
+import inspect
+from collections.abc import Callable
+from typing import Any, Literal
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 with contextlib.redirect_stdout(None):  # importing brax.envs prints what its backends lack
@@ -13,6 +15,7 @@ from envs.base import Action, Env, State, Wrapper
 
 TIME_LIMIT = 1000
 """Steps of an episode in Brax's own training runs."""
+Backend = Literal["generalized", "spring", "positional", "mjx"]
 
 
 def names() -> tuple[str, ...]:
@@ -20,15 +23,32 @@ def names() -> tuple[str, ...]:
     return tuple(sorted(brax_envs._envs))
 
 
-def environment_class(name: str) -> type[brax_envs.Env]:
-    """The class of Brax's environment `name`.
+def constructor(name: str) -> Callable[..., brax_envs.Env]:
+    """Makes Brax's environment `name`; its parameters are those of the class.
 
     Raises:
       ValueError: if Brax has no such environment.
     """
     if name not in names():
         raise ValueError(f"Brax has no environment {name!r}; it has {', '.join(names())}")
-    return brax_envs._envs[name]
+    cls = brax_envs._envs[name]
+
+    def construct(**options: Any) -> brax_envs.Env:
+        return cls(**options)
+
+    # Brax leaves `backend` open, and finds a wrong one only after it has loaded the model.
+    signature = inspect.signature(cls)
+    parameters = [
+        p.replace(annotation=Backend) if p.name == "backend" else p
+        for p in signature.parameters.values()
+    ]
+    construct.__signature__ = signature.replace(parameters=parameters)  # pyright: ignore[reportFunctionMemberAccess]
+    return construct
+
+
+def is_brax(made: Any) -> bool:
+    """Whether it is an environment of Brax's kind."""
+    return isinstance(made, brax_envs.Env)
 
 
 class BraxEnv(Wrapper, Env):
@@ -51,4 +71,4 @@ class BraxEnv(Wrapper, Env):
     def step(self, state: State, action: Action) -> State:
         # Brax writes its metrics into the caller's dictionary; a copy keeps `step` pure.
         state = state.replace(metrics=dict(state.metrics), info=dict(state.info))
-        return self.env.step(state, jnp.clip(action.astype(jnp.float32), -1.0, 1.0))
+        return self.env.step(state, self.clipped(action))

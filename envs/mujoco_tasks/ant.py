@@ -20,7 +20,6 @@ class Ant(MujocoTask):
     end          z outside its healthy range, or a state that is not finite
     """
 
-    gymnasium_id: ClassVar[str] = "Ant-v5"
     fields: ClassVar[tuple[str, ...]] = ("xpos", "cfrc_ext")
 
     xml_file: str = "ant.xml"

@@ -1,7 +1,6 @@
 """HalfCheetah: a planar robot with two legs and a long body that runs forward."""
 
 import dataclasses
-from typing import ClassVar
 
 from envs.mujoco_tasks.task import MujocoTask, uniform_and_normal_offset
 
@@ -17,8 +16,6 @@ class HalfCheetah(MujocoTask):
     start        positions uniform within ±reset_noise_scale, velocities normal with that deviation
     end          never
     """
-
-    gymnasium_id: ClassVar[str] = "HalfCheetah-v5"
 
     xml_file: str = "half_cheetah.xml"
     frame_skip: int = 5

@@ -1,7 +1,6 @@
 """Hopper: a one-legged robot that hops forward."""
 
 import dataclasses
-from typing import ClassVar
 
 import numpy as np
 
@@ -21,8 +20,6 @@ class Hopper(PlanarWalker):
                  ±reset_noise_scale of that
     end          z, pitch or any other state but x outside its healthy range
     """
-
-    gymnasium_id: ClassVar[str] = "Hopper-v5"
 
     xml_file: str = "hopper.xml"
     frame_skip: int = 4

@@ -22,7 +22,6 @@ class Humanoid(HumanoidBody):
     end          z outside its healthy range
     """
 
-    gymnasium_id: ClassVar[str] = "Humanoid-v5"
     fields: ClassVar[tuple[str, ...]] = (*HumanoidBody.fields, "xipos")
 
     xml_file: str = "humanoid.xml"

@@ -1,7 +1,6 @@
 """HumanoidStandup: the humanoid lies on its back and is paid for the height of its torso."""
 
 import dataclasses
-from typing import ClassVar
 
 import numpy as np
 
@@ -20,8 +19,6 @@ class HumanoidStandup(HumanoidBody):
                  ±reset_noise_scale of that
     end          never
     """
-
-    gymnasium_id: ClassVar[str] = "HumanoidStandup-v5"
 
     xml_file: str = "humanoidstandup.xml"
     uph_cost_weight: float = 1.0

@@ -21,7 +21,6 @@ class InvertedDoublePendulum(MujocoTask):
     end          the tip is at most 1 m high
     """
 
-    gymnasium_id: ClassVar[str] = "InvertedDoublePendulum-v5"
     fields: ClassVar[tuple[str, ...]] = ("site_xpos", "qfrc_constraint")
 
     xml_file: str = "inverted_double_pendulum.xml"

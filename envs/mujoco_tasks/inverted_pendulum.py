@@ -1,7 +1,6 @@
 """InvertedPendulum: a pole on a cart, to be kept upright."""
 
 import dataclasses
-from typing import ClassVar
 
 from envs.mujoco_tasks.task import MujocoTask, uniform_offset
 
@@ -18,8 +17,6 @@ class InvertedPendulum(MujocoTask):
     start        all positions and velocities uniform within ±reset_noise_scale
     end          the pole leans by more than 0.2 rad, or a state is not finite
     """
-
-    gymnasium_id: ClassVar[str] = "InvertedPendulum-v5"
 
     xml_file: str = "inverted_pendulum.xml"
     frame_skip: int = 2

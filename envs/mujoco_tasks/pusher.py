@@ -30,8 +30,6 @@ class Pusher(MujocoTask):
     end          never
     """
 
-    gymnasium_id: ClassVar[str] = "Pusher-v5"
-    time_limit: ClassVar[int] = 100
     fields: ClassVar[tuple[str, ...]] = ("xpos",)
 
     xml_file: str = "pusher_v5.xml"

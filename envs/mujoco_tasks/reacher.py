@@ -26,8 +26,6 @@ class Reacher(MujocoTask):
     end          never
     """
 
-    gymnasium_id: ClassVar[str] = "Reacher-v5"
-    time_limit: ClassVar[int] = 50
     fields: ClassVar[tuple[str, ...]] = ("xpos",)
 
     xml_file: str = "reacher.xml"

@@ -1,7 +1,6 @@
 """Swimmer: a chain of three links that swims in a plane."""
 
 import dataclasses
-from typing import ClassVar
 
 from envs.mujoco_tasks.task import MujocoTask, plane_metrics, uniform_offset
 
@@ -17,8 +16,6 @@ class Swimmer(MujocoTask):
     start        all positions and velocities uniform within ±reset_noise_scale
     end          never
     """
-
-    gymnasium_id: ClassVar[str] = "Swimmer-v5"
 
     xml_file: str = "swimmer.xml"
     frame_skip: int = 4

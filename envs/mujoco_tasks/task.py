@@ -2,11 +2,11 @@
 
 import dataclasses
 import functools
+import importlib.util
 import pathlib
 import warnings
 from typing import Any, ClassVar
 
-import gymnasium
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -16,7 +16,9 @@ from jaxtyping import Float
 Array = Any
 """A NumPy float64 array with leading batch axes (native), or a JAX array of one instance (MJX)."""
 
-ASSETS = pathlib.Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
+_gymnasium = importlib.util.find_spec("gymnasium")  # its files; its code is not needed
+assert _gymnasium and _gymnasium.origin
+ASSETS = pathlib.Path(_gymnasium.origin).parent / "envs" / "mujoco" / "assets"
 
 
 class Physics:
@@ -38,9 +40,6 @@ class MujocoTask:
     As in Gymnasium, all fields but qpos and qvel are what MuJoCo derived last: a substep earlier.
     """
 
-    gymnasium_id: ClassVar[str]
-    time_limit: ClassVar[int] = 1000
-    """Steps until Gymnasium truncates."""
     fields: ClassVar[tuple[str, ...]] = ()
     """What is read besides qpos and qvel. cfrc_ext costs a pass over the contacts."""
 

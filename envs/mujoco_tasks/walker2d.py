@@ -1,7 +1,6 @@
 """Walker2d: a two-legged robot that walks forward."""
 
 import dataclasses
-from typing import ClassVar
 
 from envs.mujoco_tasks.planar_walker import PlanarWalker
 from envs.mujoco_tasks.task import within
@@ -19,8 +18,6 @@ class Walker2d(PlanarWalker):
                  ±reset_noise_scale of that
     end          z or pitch outside its healthy range
     """
-
-    gymnasium_id: ClassVar[str] = "Walker2d-v5"
 
     xml_file: str = "walker2d_v5.xml"
     frame_skip: int = 4

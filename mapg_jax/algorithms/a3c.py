@@ -275,7 +275,9 @@ class A3c:
             learner.critic_optimizer,
             hyper.critic_learning_rate,
         )
-        updated = LearnerState(actor, critic, actor_optimizer, critic_optimizer, learner.updates + 1)
+        updated = LearnerState(
+            actor, critic, actor_optimizer, critic_optimizer, learner.updates + 1
+        )
         metrics = UpdateMetrics(
             critic_loss=critic_loss,
             actor_loss=actor_loss,

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Integer
 
 from mapg_jax.algorithms.heads import take
+from mapg_jax.algorithms.layer_norm import LayerNorm
 
 LAST_LAYER_SCALE = 3e-3
 VARIANCE_FLOOR = 1e-4  # of A3C's Gaussian: σ of 0.01 in units of [-1, 1], so that 1 / σ² is bounded
@@ -52,7 +53,7 @@ class _Rectifier(nn.Module):
 
     @nn.compact
     def __call__(self, x):
-        return nn.relu(nn.LayerNorm()(x) if self.layer_norm else x)
+        return LayerNorm()(x) if self.layer_norm else nn.relu(x)
 
 
 def _trunk(x, hidden, layer_norm):

@@ -6,6 +6,7 @@ import pathlib
 import sys
 from typing import TextIO
 
+from mapg_jax import foreign
 from mapg_jax.cli.console import complain, own_stdout, refuse_politely
 from mapg_jax.cli.parser import Parser
 
@@ -33,6 +34,10 @@ def main() -> None:
         return
     if name not in COMMANDS:
         sys.exit(complain(f"unknown command {name!r}; known are {', '.join(COMMANDS)}", 2))
+    try:
+        foreign.refuse("envs", "experiments")
+    except ImportError as error:
+        sys.exit(complain(str(error), 2))
     command = importlib.import_module(f"mapg_jax.cli.{name}")
     arguments = refuse_politely(lambda: command.parse(flags))
     with own_stdout() as out:

@@ -43,6 +43,14 @@ class Table(NamedTuple):
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
 
+    def markdown(self) -> str:
+        """As Markdown, a line a row."""
+        lines = [[cell.replace("|", "\\|") for cell in row] for row in (self.header, *self.rows)]
+        lines.insert(1, ["---"] * len(self.header))
+        return "\n".join(
+            "|" + "".join(f" {cell} |" if cell else " |" for cell in line) for line in lines
+        )
+
 
 class Picture(NamedTuple):
     """A figure, the name of its file without the suffix, and what it shows."""
@@ -91,10 +99,8 @@ def _markdown(block: Block) -> str:
             return text
         case Bullets(items):
             return "\n".join(f"- {item}" for item in items)
-        case Table(header, rows):
-            lines = [[cell.replace("|", "\\|") for cell in row] for row in (header, *rows)]
-            lines.insert(1, ["---"] * len(header))
-            return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+        case Table():
+            return block.markdown()
         case Picture(_, name, text):
             return f"![{text}]({name}.png)\n\n{text}"
 

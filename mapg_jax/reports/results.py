@@ -1,10 +1,8 @@
 """Finished runs as records: one row of a results CSV each."""
 
 import contextlib
-import csv
 import datetime
 import functools
-import io
 import itertools
 import json
 import math
@@ -18,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mapg_jax.algorithms import registry
+from mapg_jax.runs import csv_file
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.metrics import read_metrics
 from mapg_jax.training.config import PRESETS, Config, fields, preset
@@ -28,6 +27,17 @@ CURVE = ("env_steps", "return_mean", "return_std", "spread", "q_gap_relative")
 
 class UnfinishedError(ValueError):
     """The run has not reached its last step, or its last policy has no score."""
+
+
+class RunKey(NamedTuple):
+    """What tells a run from every other one."""
+
+    env: str
+    algorithm: str  # its slug
+    heads: int
+    seed: int
+    steps: int
+    settings: str
 
 
 class Result(NamedTuple):
@@ -52,6 +62,11 @@ class Result(NamedTuple):
     laps_mean: float | None = None  # driving: an episode
     lap_share: float | None = None  # driving: share of the episodes with a lap or more
 
+    @property
+    def run(self) -> RunKey:
+        """What tells it from every other one."""
+        return RunKey(*(getattr(self, name) for name in RunKey._fields))
+
 
 class Protocol(NamedTuple):
     """What runs must have in common to be compared."""
@@ -74,6 +89,11 @@ def read_run(folder: RunFolder | str | os.PathLike) -> Result:
     """
     if not isinstance(folder, RunFolder):
         folder = RunFolder.open(folder)
+    return read_scored(folder)[0]
+
+
+def read_scored(folder: RunFolder) -> tuple[Result, dict[str, Any]]:
+    """`read_run`, and the score that it comes from: evaluation.json."""
     if not folder.evaluation.exists():
         raise UnfinishedError(f"{folder.path} is not finished: it has no evaluation.json")
     config, last = folder.config, _metrics(folder)[-1]
@@ -90,24 +110,20 @@ def read_run(folder: RunFolder | str | os.PathLike) -> Result:
         }
     with _reading(folder.evaluation) as score:
         result = Result(
-            env=config.env.lower(),
-            algorithm=config.slug,
-            heads=config.heads,
-            seed=config.seed,
-            steps=int(last["env_steps"]),
+            **run_key(config)._replace(steps=int(last["env_steps"]))._asdict(),
             return_mean=_finite(score["mean"]),
             return_std=_finite(score["std"]),
             episodes=int(score["episodes"]),
-            settings=settings(config),
             select=str(score["select"]),
             physics=str(score["physics"]),
             seconds=round(last["seconds"], 1),
             **origin,
             **_driving(score.get("metrics", {})),
         )
-    if (scored := folder.scored_steps()) < config.steps:
+        scored = int(score.get("env_steps", config.steps))
+    if scored < config.steps:
         raise UnfinishedError(f"{folder.path} is not finished: its score is of step {scored:,}")
-    return result
+    return result, score
 
 
 def find_runs(path: str | os.PathLike) -> list[RunFolder]:
@@ -125,6 +141,13 @@ def find_runs(path: str | os.PathLike) -> list[RunFolder]:
     if not found:
         raise ValueError(f"there are no runs in {path}")
     return found
+
+
+def run_key(config: Config) -> RunKey:
+    """What tells a run from every other one."""
+    return RunKey(
+        config.env, config.slug, config.heads, config.seed, config.steps, settings(config)
+    )
 
 
 def settings(config: Config) -> str:
@@ -209,9 +232,8 @@ def separate(results: Iterable[Result]) -> dict[Protocol, list[Result]]:
 
 
 def identity(result: Result) -> tuple:
-    """What tells a run from every other one."""
-    arm = (result.env, result.algorithm, result.heads, result.settings)
-    return (*arm, result.seed, protocol(result))
+    """What tells a score from every other one: its run, and how that was scored."""
+    return result.run, protocol(result)
 
 
 def merge(results: Iterable[Result]) -> list[Result]:
@@ -242,10 +264,7 @@ def read_csv(path: str | os.PathLike) -> list[Result]:
     path = pathlib.Path(path)
     if not path.exists():
         return []
-    try:
-        header, *rows = list(csv.reader(io.StringIO(path.read_text()), strict=True)) or [[]]
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is no CSV: {error}") from None
+    header, rows = csv_file.read(path)
     if tuple(header) != Result._fields:
         raise ValueError(
             f"{path} is no CSV of results: its columns are {','.join(header)[:200]}, "
@@ -263,12 +282,7 @@ def append_csv(path: str | os.PathLike, results: Sequence[Result]) -> None:
     path = pathlib.Path(path)
     rows = merge(itertools.chain(read_csv(path), results))
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".partial")
-    with partial.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(Result._fields)
-        writer.writerows(rows)
-    partial.replace(path)
+    csv_file.write(path, Result._fields, rows)
 
 
 def _parse(row: Sequence[str], where: str) -> Result:

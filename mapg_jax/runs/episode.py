@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+import envs
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.policy import Policy, open_policy
 
@@ -46,7 +47,7 @@ def draw(folder: RunFolder, seed: int = 0, select: str = "uniform") -> list[path
       ValueError: if the run has no checkpoint, or its environment draws nothing.
     """
     policy = open_policy(folder, seed, select)
-    if not policy.env.draws:
+    if type(policy.env).render is envs.Env.render:
         raise ValueError(f"{folder.path} is a run of {folder.config.env}, which draws nothing")
     states = record(policy, folder.config.episode_steps(), seed, select)
     return policy.env.render(states, folder.path)

@@ -126,13 +126,22 @@ def make_folder(path: pathlib.Path) -> None:
     Raises:
       ValueError: if it exists with something in it, or cannot be created.
     """
-    made = [p for p in (path, *path.parents) if not p.exists()]
-    try:
-        path.mkdir(parents=True, exist_ok=path.exists() and is_blank(path))
-    except FileExistsError:
+    if not is_blank(path):
         raise ValueError(
             f"{path} exists already; choose another --out, or go on with: mapg resume {path}"
-        ) from None
+        )
+    create_folder(path)
+
+
+def create_folder(path: pathlib.Path) -> None:
+    """A folder and its parents, where they are not there yet.
+
+    Raises:
+      ValueError: if it cannot be created; then none of its parents is left behind.
+    """
+    made = [p for p in (path, *path.parents) if not p.exists()]
+    try:
+        path.mkdir(parents=True, exist_ok=path.exists())
     except OSError as error:
         for parent in made:  # the parents that were made before it failed
             with contextlib.suppress(OSError):

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from mapg_jax.runs.checkpoints import Checkpoints
-from mapg_jax.training.evaluation import Episodes, summarize
-from mapg_jax.training.state import Totals
-from mapg_jax.training.trainer import Trainer
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.metrics import MetricsFile, cut_metrics
+from mapg_jax.training.evaluation import Played, summarize
+from mapg_jax.training.state import Totals
+from mapg_jax.training.trainer import Trainer
 
 DIVERGED = "a loss or parameter is no longer finite"
 
@@ -65,7 +65,7 @@ class Member:
         self,
         trainer: Trainer,
         counters: tuple[Any, Any, Totals],
-        played: Episodes,
+        played: Played,
         turns_per_second: float,
         seconds: float,
     ) -> dict[str, int | float]:

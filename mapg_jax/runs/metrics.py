@@ -1,11 +1,11 @@
 """The rows of a run: metrics.csv and TensorBoard, one row an evaluation."""
 
-import csv
 import math
 import os
 import pathlib
 from collections.abc import Mapping
 
+from mapg_jax.runs import csv_file
 
 Row = Mapping[str, int | float]
 
@@ -27,10 +27,8 @@ class MetricsFile:
         """Appends a row, `env_steps` first; the first one writes the header."""
         new = not self.path.exists()
         with self.path.open("a", newline="") as file:
-            writer = csv.writer(file)
-            if new:
-                writer.writerow(row)
-            writer.writerow(_text(value) for value in row.values())
+            values = [_text(value) for value in row.values()]
+            csv_file.lines(file, [list(row), values] if new else [values])
             file.flush()
             os.fsync(file.fileno())
         for name, value in row.items():
@@ -43,7 +41,7 @@ class MetricsFile:
 
 def read_metrics(path: pathlib.Path) -> list[dict[str, float]]:
     """The rows of a metrics.csv; none if there is no file."""
-    header, *rows = _table(path)
+    header, rows = csv_file.read(path, cut_short=True)
     return [dict(zip(header, map(float, row), strict=True)) for row in rows]
 
 
@@ -53,22 +51,12 @@ def cut_metrics(path: pathlib.Path, env_steps: int) -> None:
     A last line that was cut short is dropped too, and a file left without rows is removed, so that
     the next row writes a whole header.
     """
-    header, *rows = _table(path)
+    header, rows = csv_file.read(path, cut_short=True)
     kept = [row for row in rows if row[0].isdigit() and int(row[0]) <= env_steps]
-    if not kept:
+    if kept:
+        csv_file.write(path, header, kept)
+    else:
         path.unlink(missing_ok=True)
-        return
-    partial = path.with_suffix(".partial")
-    with partial.open("w", newline="") as file:
-        csv.writer(file).writerows([header, *kept])
-    partial.replace(path)
-
-
-def _table(path: pathlib.Path) -> list[list[str]]:
-    """The header and the rows, but for a line that was cut short as it was written."""
-    lines = path.read_text().splitlines(keepends=True) if path.exists() else []
-    header, *rows = list(csv.reader(line for line in lines if line.endswith("\n"))) or [[]]
-    return [header, *(row for row in rows if len(row) == len(header))]
 
 
 def _text(value: int | float) -> str:

@@ -7,9 +7,9 @@ import jax
 import numpy as np
 
 import envs
-from mapg_jax.training.agent import Agent, AgentState, make_agent
 from mapg_jax.runs.checkpoints import Checkpoints
 from mapg_jax.runs.folder import RunFolder
+from mapg_jax.training.agent import Agent, AgentState, make_agent
 from mapg_jax.training.trainer import agent_shapes
 
 

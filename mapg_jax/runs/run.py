@@ -2,13 +2,13 @@
 
 import contextlib
 import math
+import pathlib
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import pathlib
 
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.member import Member

@@ -10,11 +10,11 @@ import jax
 import numpy as np
 
 import envs
-from mapg_jax.training.evaluation import play, summarize
-from mapg_jax.training.trainer import tree_bytes
+from mapg_jax.runs.folder import RunFolder, write_json
 from mapg_jax.runs.memory import available_bytes
 from mapg_jax.runs.policy import Policy, open_policy
-from mapg_jax.runs.folder import RunFolder, write_json
+from mapg_jax.training.evaluation import play, summarize
+from mapg_jax.training.trainer import tree_bytes
 
 GYMNASIUM_BYTES = 1_000_000
 """Of one environment, about: a MuJoCo model and its data."""
@@ -108,7 +108,10 @@ def _in_jax(folder, policy: Policy, episodes, physics, select, seed):
     extra: dict[str, Any] = {
         k: float(v) if math.isfinite(v) else None for k, v in played.heads._asdict().items()
     }
-    scored = {k: np.asarray(played.metrics[k]).tolist() for k in env.scored_metrics}
+    scored = {
+        scored.metric: np.asarray(played.metrics[scored.metric]).tolist()
+        for scored in env.scored_metrics
+    }
     if scored:
         extra["metrics"] = scored
     return env.backend, np.asarray(played.returns), np.asarray(played.lengths), extra

@@ -1,7 +1,6 @@
 """Whole runs from Python: trained, saved and scored."""
 
 import dataclasses
-import math
 import os
 import pathlib
 from collections.abc import Sequence
@@ -106,7 +105,8 @@ def take_up(path: str | os.PathLike, steps: int | None = None) -> Run:
     run.restore()
     if run.turn > run.last_turn:
         raise ValueError(
-            f"{path} has {run.env_steps:,} steps already; --steps must be larger to train it further"
+            f"{path} has {run.env_steps:,} steps already, more than {run.folder.config.steps:,}; "
+            "--steps with a larger number trains it further"
         )
     if not run.finished:
         folder.write_config()

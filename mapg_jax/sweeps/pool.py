@@ -39,7 +39,7 @@ class Worker:
         imports = [f"--import={module}" for module in plugins.loaded()]
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
-                # -P: what lies in the working folder does not hide what is installed.
+                # -P: a folder `envs` in the working folder would be imported for ours.
                 [sys.executable, "-P", "-m", WORKER, *flags, *imports, *folders],
                 stdin=subprocess.PIPE,  # its end tells the worker that this process is gone
                 stdout=log,
@@ -74,10 +74,10 @@ class Worker:
 
     def failures(self) -> dict[pathlib.Path, str]:
         """Why the runs that did not finish did not, once it has ended."""
-        *_, last = ["", *self._log.read_text(errors="replace").strip().splitlines()]
+        output = self._log.read_text(errors="replace").strip().splitlines()
         code = self._process.returncode
         ended = f"killed by signal {-code}" if code < 0 else f"exit status {code}"
-        reason = f"{ended}; last output: {last}" if last else ended
+        reason = f"{ended}; last output: {output[-1]}" if output else ended
         reasons = {}
         for folder in self.folders:
             if not is_finished(folder):

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.stats
 from jaxtyping import PRNGKeyArray
 
 import envs
@@ -21,7 +20,7 @@ class HeadStatistics(NamedTuple):
     q_gap_relative: jax.Array  # [], over the standard deviation of Q
 
 
-class Episodes(NamedTuple):
+class Played(NamedTuple):
     """E finished episodes."""
 
     returns: jax.Array  # [E]
@@ -31,11 +30,25 @@ class Episodes(NamedTuple):
 
 
 class _Sums(NamedTuple):
+    """Over all states of the episodes so far."""
+
     states: jax.Array
     spread: jax.Array
     q_gap: jax.Array
     q: jax.Array
     q_square: jax.Array
+
+
+class _Play(NamedTuple):
+    """Episodes under way."""
+
+    steps: jax.Array  # [] i32, taken by each that is alive
+    env: envs.State  # leaves [E, ...]
+    alive: jax.Array  # [E] bool
+    returns: jax.Array  # [E]
+    lengths: jax.Array  # [E] i32
+    last: dict[str, jax.Array]  # [E] each, the metrics at the last step alive
+    sums: _Sums
 
 
 def play(
@@ -47,7 +60,7 @@ def play(
     episodes: int,
     time_limit: int,
     select: str,
-) -> Episodes:
+) -> Played:
     """Plays E episodes side by side, without noise, until the last has ended.
 
     Args:
@@ -62,48 +75,51 @@ def play(
     start_key, act_key = jax.random.split(key)
     m = state.hyper.heads
 
-    def step(carry):
-        t, env_state, alive, returns, lengths, last, sums = carry
-        proposals, values = agent.proposals(state, env_state.obs)
-        action = agent.act(state, env_state.obs, jax.random.fold_in(act_key, t), select)
-        value = heads.mean(values, m) - pivot
-
-        def total(x):  # what is stepped past its end may be of any value
-            return jnp.where(alive, x, 0.0).sum()
-
-        sums = _Sums(
-            sums.states + alive.sum(),
-            sums.spread + total(heads.spread(proposals, m)),
-            sums.q_gap + total(heads.q_gap(values, m)),
-            sums.q + total(value),
-            sums.q_square + total(jnp.square(value)),
+    def step(now: _Play) -> _Play:
+        observation = jnp.asarray(now.env.obs)
+        proposals, values = agent.proposals(state, observation)
+        action = agent.act(state, observation, jax.random.fold_in(act_key, now.steps), select)
+        after = jax.vmap(env.step)(now.env, action)
+        return _Play(
+            steps=now.steps + 1,
+            env=after,
+            alive=now.alive & (after.done < 0.5),
+            returns=now.returns + jnp.where(now.alive, after.reward, 0.0),
+            lengths=now.lengths + now.alive,
+            last=jax.tree.map(lambda x, y: jnp.where(now.alive, y, x), now.last, after.metrics),
+            sums=_added(now.sums, now.alive, proposals, values, heads.mean(values, m) - pivot, m),
         )
-        env_state = jax.vmap(env.step)(env_state, action)
-        returns = returns + jnp.where(alive, env_state.reward, 0.0)
-        last = jax.tree.map(lambda old, new: jnp.where(alive, new, old), last, env_state.metrics)
-        alive_next = alive & (env_state.done < 0.5)
-        return t + 1, env_state, alive_next, returns, lengths + alive, last, sums
 
-    env_state = jax.vmap(env.reset)(jax.random.split(start_key, episodes))
+    start = jax.vmap(env.reset)(jax.random.split(start_key, episodes))
     # Squares of deviations from a value near the mean keep their digits.
-    pivot = heads.mean(agent.proposals(state, jnp.asarray(env_state.obs))[1], m).mean()
-    zeros = jnp.zeros(episodes)
-    first = (
-        jnp.zeros((), jnp.int32),
-        env_state,
-        jnp.ones(episodes, bool),
-        zeros,
-        jnp.zeros(episodes, jnp.int32),
-        env_state.metrics,
-        _Sums(*(jnp.zeros(()) for _ in _Sums._fields)),
+    pivot = heads.mean(agent.proposals(state, jnp.asarray(start.obs))[1], m).mean()
+    zeros, none = jnp.zeros(episodes), jnp.zeros(episodes, jnp.int32)
+    sums = _Sums(*(jnp.zeros(()) for _ in _Sums._fields))
+    first = _Play(none[0], start, jnp.ones(episodes, bool), zeros, none, start.metrics, sums)
+    end = jax.lax.while_loop(lambda now: (now.steps < time_limit) & now.alive.any(), step, first)
+    return Played(end.returns, end.lengths, _statistics(end.sums), end.last)
+
+
+def _added(sums: _Sums, alive, proposals, values, value, m) -> _Sums:
+    """The sums with one state of each episode that is alive."""
+
+    def total(x):  # what is stepped past its end may be of any value
+        return jnp.where(alive, x, 0.0).sum()
+
+    return _Sums(
+        sums.states + alive.sum(),
+        sums.spread + total(heads.spread(proposals, m)),
+        sums.q_gap + total(heads.q_gap(values, m)),
+        sums.q + total(value),
+        sums.q_square + total(jnp.square(value)),
     )
-    *_, returns, lengths, last, sums = jax.lax.while_loop(
-        lambda carry: (carry[0] < time_limit) & carry[2].any(), step, first
-    )
+
+
+def _statistics(sums: _Sums) -> HeadStatistics:
     mean = _Sums(*(x / sums.states for x in sums))
     q_std = jnp.sqrt(jnp.maximum(mean.q_square - jnp.square(mean.q), 0.0))
     gap_relative = jnp.where(q_std > 0, mean.q_gap / q_std, jnp.nan)
-    return Episodes(returns, lengths, HeadStatistics(mean.spread, mean.q_gap, gap_relative), last)
+    return HeadStatistics(mean.spread, mean.q_gap, gap_relative)
 
 
 class Summary(NamedTuple):
@@ -119,9 +135,11 @@ class Summary(NamedTuple):
 
 def summarize(returns: Any) -> Summary:
     """Mean, standard deviation and 95 % interval of episode returns."""
+    from scipy.stats import t as student  # slow to import
+
     returns = np.asarray(returns, np.float64)
     n = len(returns)
     mean = float(returns.mean())
     std = float(returns.std(ddof=1)) if n > 1 else 0.0
-    half = float(scipy.stats.t.ppf(0.975, n - 1) * std / np.sqrt(n)) if n > 1 else 0.0
+    half = float(student.ppf(0.975, n - 1) * std / np.sqrt(n)) if n > 1 else 0.0
     return Summary(mean, std, (mean - half, mean + half), n)

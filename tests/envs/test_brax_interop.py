@@ -11,6 +11,8 @@ from brax.training.agents.ppo import train as ppo
 import envs
 from envs.base import with_episodes
 
+pytestmark = pytest.mark.usefixtures("their_code")
+
 
 @pytest.fixture
 def device_put_replicated(monkeypatch):

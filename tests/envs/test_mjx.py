@@ -1,5 +1,7 @@
 """MuJoCo XLA runs the same tasks: one control step of it against one of the native engine."""
 
+import threading
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -11,10 +13,21 @@ import envs
 from envs.base import with_episodes
 from envs.engines.contact_frames import mujoco_contact_frames
 
+pytestmark = pytest.mark.usefixtures("their_code")
+
 COMPILED_BY_DEFAULT = ("hopper",)  # traced as well, by the lowering of the preset `parallel`
 TRACED_BY_DEFAULT = ("ant",)  # whose fields MJX keeps in several places
 CONTACT_FORCES_SEEN = ("ant", "humanoid", "humanoid_standup")  # stiff: 1e-7 m is much force
 INSTANCES = 16
+
+CAPSULE = """
+<mujoco>
+  <worldbody>
+    <geom type="plane" size="1 1 1"/>
+    <body><freejoint/><geom type="capsule" size="0.1 0.2"/></body>
+  </worldbody>
+</mujoco>
+"""
 
 
 def tasks(default):
@@ -92,14 +105,7 @@ def test_episodes_keep_shapes_and_types(name):
 
 def test_contact_frames_of_capsules_are_mujocos():
     """At every lean from the plane's normal; MJX alone differs below 30°, and is left as it was."""
-    model = mujoco.MjModel.from_xml_string("""
-        <mujoco>
-          <worldbody>
-            <geom type="plane" size="1 1 1"/>
-            <body><freejoint/><geom type="capsule" size="0.1 0.2"/></body>
-          </worldbody>
-        </mujoco>
-    """)
+    model = mujoco.MjModel.from_xml_string(CAPSULE)
     data, mjx_model = mujoco.MjData(model), mjx.put_model(model)
     rng = np.random.default_rng(0)
     leans, turns = np.linspace(0.05, np.pi / 2, 12), rng.uniform(0, 2 * np.pi, 12)
@@ -131,6 +137,29 @@ def test_contact_frames_of_capsules_are_mujocos():
     np.testing.assert_allclose(corrected, expected, atol=1e-5)
     differs = np.abs(plain - np.stack(expected)).max((1, 2)) > 0.1
     np.testing.assert_array_equal(differs, np.sin(leans) < 0.5)
+
+
+def test_other_threads_see_mjx_as_it_is():
+    """While one traces with MuJoCo's frames; the programs tell them apart."""
+    model = mjx.put_model(mujoco.MjModel.from_xml_string(CAPSULE))
+    data = jax.eval_shape(lambda: mjx.make_data(model))
+
+    def traced():
+        return str(
+            jax.make_jaxpr(lambda data: mjx.collision(model, mjx.kinematics(model, data)))(data)
+        )
+
+    def trace_elsewhere():
+        found.append(traced())
+
+    found, plain = [], traced()
+    with mujoco_contact_frames():
+        assert traced() != plain
+        thread = threading.Thread(target=trace_elsewhere)
+        thread.start()
+        thread.join()
+    assert found == [plain]
+    assert traced() == plain
 
 
 def test_the_solver_that_mjx_lacks_is_replaced():

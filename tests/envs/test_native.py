@@ -252,3 +252,14 @@ def test_asymmetric_controls_are_refused(tmp_path):
     """)
     with pytest.raises(ValueError, match="control ranges must be symmetric"):
         envs.make("inverted_pendulum", "native", xml_file=str(model))
+
+
+def test_an_action_that_is_no_number_leaves_no_file(tmp_path, monkeypatch, capfd):
+    """MuJoCo warns, resets the simulation and goes on, and would keep a log in the folder."""
+    monkeypatch.chdir(tmp_path)
+    env = make("hopper", "native")
+    state = jax.jit(env.reset)(jax.random.key(0))
+    after = jax.jit(env.step)(state, np.full(3, np.nan, np.float32))
+    assert np.isfinite(after.obs).all()
+    assert "Nan, Inf or huge value in CTRL" in "".join(capfd.readouterr())
+    assert not list(tmp_path.iterdir())

@@ -55,9 +55,23 @@ def driven():
     return env, roll(env, programs(env)[0](KEY), lambda obs, t: policy(obs), 4500)
 
 
+def test_an_episode_is_drawn(driven, tmp_path):
+    env, states = driven
+    picture, animation = env.render(states.pipeline_state, tmp_path)
+    assert (picture.name, animation.name) == ("drive.png", "drive.html")
+    assert sorted(tmp_path.iterdir()) == [animation, picture]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    drive = states.pipeline_state
+    last_drawn = [round(float(values[-2]), 3) for values in (drive.x, drive.y)]  # each second one
+    assert ",".join(map(str, last_drawn)) in animation.read_text(encoding="utf-8")
+
+
 def test_the_contract():
     env = make()
     assert (env.observation_size, env.action_size, env.backend, env.dt) == (29, 3, "jax", 0.02)
+    last = {"distance": [10.0, 40.0, 130.0], "laps": [0.0, 1.0, 3.0]}  # of three episodes
+    scores = {scored.name: scored.over(last[scored.metric]) for scored in env.scored_metrics}
+    assert scores == {"distance_mean": 60.0, "laps_mean": 4 / 3, "lap_share": 2 / 3}
     assert env.action_high.dtype == np.float32 and (env.action_high == 1).all()
     assert envs.spec("driving").engines == ("jax",)
     state = jax.eval_shape(env.reset, KEY)
@@ -81,7 +95,7 @@ def test_the_contract():
     ],
 )
 def test_actions(action, expected):
-    np.testing.assert_array_equal(jnp.stack(controls(jnp.float32(action))), expected)
+    np.testing.assert_array_equal(jnp.stack(controls(make().clipped(action))), expected)
 
 
 def test_a_fresh_actor_drives_off():

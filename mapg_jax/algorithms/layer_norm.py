@@ -1,0 +1,79 @@
+"""Layer norm and ReLU (Ba, Kiros and Hinton 2016) whose sums are matrix products.
+
+XLA on a CPU runs matrix products fast and sums over one axis of a matrix slowly, so each sum here is
+a product with ones, in the derivatives of any order too: a broadcast is written as a product with
+ones wherever its transpose, a sum, will be needed.
+"""
+
+import jax
+import jax.numpy as jnp
+from flax import linen as nn
+from jaxtyping import Array, Float
+
+EPSILON = 1e-6  # added to the variance
+
+
+def _matmul(x, y):
+    return jnp.matmul(x, y, precision=jax.lax.Precision.HIGHEST)  # accelerators would take TF32
+
+
+def _mean(x):
+    """Over the last axis, which stays with size 1."""
+    width = x.shape[-1]
+    return _matmul(x, jnp.full((width, 1), 1 / width, x.dtype))
+
+
+def _along(x, width):
+    """`x`, [..., 1], along a last axis of this width."""
+    return _matmul(x, jnp.ones((1, width), x.dtype))
+
+
+def _over(x, batch):
+    """`x`, [W], over a batch, [B, W]."""
+    return _matmul(jnp.ones((batch, 1), x.dtype), x[None])
+
+
+def _standardized(x):
+    centred = x - _mean(x)
+    inverse = jax.lax.rsqrt(_mean(jnp.square(centred)) + EPSILON)
+    return centred * inverse, inverse
+
+
+@jax.custom_jvp
+def _layer_norm_relu(x, scale, bias):
+    return jax.nn.relu(_standardized(x)[0] * scale + bias)
+
+
+@_layer_norm_relu.defjvp
+def _layer_norm_relu_jvp(primals, tangents):
+    x, scale, bias = primals
+    dx, dscale, dbias = tangents
+    batch, width = x.shape
+    standard, inverse = _standardized(x)
+    y = jax.nn.relu(standard * scale + bias)
+    centred = dx - _along(_mean(dx), width)
+    dstandard = inverse * (centred - standard * _along(_mean(standard * dx), width))
+    dy = dstandard * scale + standard * _over(dscale, batch) + _over(dbias, batch)
+    return y, jnp.where(y > 0, dy, 0.0)
+
+
+def layer_norm_relu(
+    x: Float[Array, "*B W"], scale: Float[Array, "W"], bias: Float[Array, "W"]
+) -> Float[Array, "*B W"]:
+    r"""$\max(0, g \odot (x - \mu) / \sqrt{\sigma^2 + 10^{-6}} + b)$.
+
+    $\mu$ and $\sigma^2$ are the mean and the variance of x over the last axis.
+    """
+    flat = _layer_norm_relu(x.reshape(-1, x.shape[-1]), scale, bias)
+    return flat.reshape(x.shape)
+
+
+class LayerNorm(nn.Module):
+    """`layer_norm_relu` with its parameters, which are named as flax's."""
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "*B W"]) -> Float[Array, "*B W"]:
+        width = x.shape[-1:]
+        scale = self.param("scale", nn.initializers.ones, width)
+        bias = self.param("bias", nn.initializers.zeros, width)
+        return layer_norm_relu(x, scale, bias)

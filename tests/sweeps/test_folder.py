@@ -1,0 +1,32 @@
+"""The folder of a sweep is its grid, as data."""
+
+import json
+
+import pytest
+
+from mapg_jax.sweeps.folder import SweepFolder
+
+
+def test_a_sweep_folder_is_its_grid(tmp_path):
+    values = {"hidden": ((8, 8), (16, 16)), "env_options": ((), ("g=9.81",)), "seed": (0, 1)}
+    folder = SweepFolder(tmp_path / "s", "smoke", values, group=2, workers=1, keep_replay=True)
+    folder.create()
+    assert SweepFolder.is_one(folder.path)
+    assert SweepFolder.open(folder.path) == folder
+    assert len(folder.runs()) == 8
+    (folder.path / "sweep.json").write_text("{}")
+    with pytest.raises(ValueError, match=r"sweep\.json is damaged"):
+        SweepFolder.open(folder.path)
+
+
+def test_a_sweep_folder_of_another_format_is_refused_in_one_line(tmp_path):
+    folder = SweepFolder(tmp_path / "s", "smoke", {"seed": (0, 1)})
+    folder.create()
+    file = folder.path / "sweep.json"
+    record = json.loads(file.read_text())
+    for found in (1, 3):
+        file.write_text(json.dumps({**record, "format": found}))
+        message = f"is of format {found}, and this version reads 2"
+        with pytest.raises(ValueError, match=message) as error:
+            SweepFolder.open(folder.path)
+        assert "\n" not in str(error.value)

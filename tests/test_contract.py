@@ -1,0 +1,61 @@
+"""Every registered algorithm keeps the contract, and learns what tiny tasks are worth."""
+
+import oracles
+import pytest
+
+from mapg_jax.algorithms import registry
+from mapg_jax.runs import contract
+
+LEARNS = {
+    "mapg": {
+        "hidden": (16, 16), "batch_size": 32, "replay_size": 2_000, "updates_per_step": 1.0,
+        "tau": 0.05, "critic_l2": 0.0, "critic_learning_rate": 1e-2, "actor_learning_rate": 1e-2,
+        "noise": "gaussian", "noise_scale": 0.5,
+    },
+    "a3c": {"hidden": (16, 16), "environments": 16, "actor_learning_rate": 3e-3},
+}  # fmt: skip
+"""By algorithm, the options by which it learns tiny tasks in some hundred turns."""
+
+
+def test_every_algorithm_is_listed():
+    assert set(LEARNS) == set(registry.names())
+
+
+@pytest.mark.parametrize("name", LEARNS)
+@pytest.mark.parametrize(
+    "check",
+    [
+        contract.check_shapes,
+        contract.check_resuming,
+        contract.check_lockstep,
+        contract.check_lowering,
+    ],
+)
+def test_an_algorithm_keeps_the_contract(name, check):
+    check(contract.tiny(name))
+
+
+@pytest.mark.parametrize("name", LEARNS)
+def test_an_algorithm_learns_known_values(name):
+    """Reward 0, then 1, then the end, at γ = ½: worth ½, then 1."""
+    config = contract.tiny(name, discount=0.5, **LEARNS[name])
+    contract.check_values(config, oracles.TwoSteps(), 10, 400, {0.0: 0.5, 1.0: 1.0})
+
+
+def test_what_breaks_the_contract_is_named(monkeypatch):
+    """An update that changes a type, and one that forgets its learner."""
+    config, mapg = contract.tiny("mapg"), registry.find("mapg")
+    update = mapg.update
+
+    def narrower(self, learner, hyper, batch, key):
+        learner, metrics = update(self, learner, hyper, batch, key)
+        return learner, metrics._replace(q_mean=metrics.q_mean.astype("float16"))
+
+    monkeypatch.setattr(mapg, "update", narrower)
+    with pytest.raises((AssertionError, TypeError), match="float16"):
+        contract.check_shapes(config)
+    monkeypatch.setattr(mapg, "selects", ("uniform", "none such"))
+    monkeypatch.setattr(mapg, "update", update)
+    monkeypatch.setattr(mapg, "act", lambda self, *x, select: x[2][..., :2])
+    with pytest.raises(AssertionError, match="act, uniform has float32"):
+        contract.check_shapes(config)

@@ -1,0 +1,50 @@
+"""The examples of docs/extending.md, as a reader would run them."""
+
+import os
+import pathlib
+import re
+import subprocess
+import sys
+
+import pytest
+
+PAGE = pathlib.Path(__file__).parent.parent / "docs" / "extending.md"
+BLOCKS = re.findall(r"<!-- (.*?) -->\n```\w+\n(.*?)```", PAGE.read_text(), re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Where the page's files lie."""
+    root = tmp_path_factory.mktemp("extending")
+    for mark, text in BLOCKS:
+        if mark.startswith("file: "):
+            (root / mark.removeprefix("file: ")).write_text(text)
+    return root
+
+
+def run(command, folder):
+    done = subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, env={**os.environ, "COLUMNS": "200"}
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_algorithm_trains_sweeps_and_keeps_the_contract(folder, quick_compilation):
+    (shell,) = (text for mark, text in BLOCKS if mark == "shell")
+    for line in shell.splitlines():
+        name, *arguments = line.split()
+        assert name == "mapg"
+        out = run([sys.executable, "-m", "mapg_jax", *arguments], folder)
+        assert "pendulum" in out
+    assert {path.parent.name for path in folder.glob("swept/*/evaluation.json")} == {
+        "pendulum-constant-m1", "pendulum-constant-m3", "pendulum-mapg-m1", "pendulum-mapg-m3",
+    }  # fmt: skip
+    (check,) = (text for mark, text in BLOCKS if mark == "python: constant.py")
+    run([sys.executable, "-c", check], folder)
+
+
+@pytest.mark.parametrize("text", [text for mark, text in BLOCKS if mark == "python"])
+def test_an_example_in_python_runs(text, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    exec(compile(text, str(PAGE), "exec"), {})
