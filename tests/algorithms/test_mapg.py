@@ -14,7 +14,8 @@ import oracles
 import pytest
 
 from mapg_jax.algorithms.base import Transition
-from mapg_jax.algorithms.mapg import Hyperparameters, LearnerState, Mapg, kernel_l2, td_target
+from mapg_jax.algorithms.descent import kernel_l2
+from mapg_jax.algorithms.mapg import Hyperparameters, LearnerState, Mapg, td_target
 from mapg_jax.training.agent import hyperparameters, make_agent
 from mapg_jax.training.config import Config
 
