@@ -126,9 +126,7 @@ class Algorithm(Protocol):
         """The M actions proposed for a state, and the critic's value of each."""
         ...
 
-    def update(
-        self, learner: Any, hyper: Any, batch: Any, key: PRNGKeyArray
-    ) -> tuple[Any, Any]:
+    def update(self, learner: Any, hyper: Any, batch: Any, key: PRNGKeyArray) -> tuple[Any, Any]:
         """One update.
 
         Args:

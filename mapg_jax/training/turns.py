@@ -186,9 +186,7 @@ def _finite(metrics: Any) -> Bool[Array, ""]:
     return jnp.isfinite(sum(metrics))
 
 
-def _learnt(
-    state: TrainState, updates: Any, metrics: Any, diverged: Bool[Array, ""]
-) -> TrainState:
+def _learnt(state: TrainState, updates: Any, metrics: Any, diverged: Bool[Array, ""]) -> TrainState:
     """`state` with some updates counted, and the step of the first that was not finite."""
     first = diverged & (state.diverged_at < 0)
     return state.replace(
