@@ -108,9 +108,7 @@ def test_an_initial_state_is_that_of_the_run_alone_to_the_last_bit():
 def test_resuming_equals_not_stopping(whole, tmp_path):
     """From the checkpoints of step 200, all leaves and all numbers to the last bit."""
     folders, _ = whole
-    copies = [
-        oracles.copy_run(folder, tmp_path / folder.path.name, upto=200) for folder in folders
-    ]
+    copies = [oracles.copy_run(folder, tmp_path / folder.path.name, upto=200) for folder in folders]
     run = Run(prepare(*CELLS), copies)
     run.restore()
     assert run.env_steps == 200
@@ -133,7 +131,9 @@ def test_a_run_that_diverges_does_not_stop_the_others(whole, tmp_path):
     assert "no longer finite at step 16" in str(failures[2])
     assert not read_metrics(run.members[2].folder.metrics)
     for k in (0, 1, 3, 4, 5):
-        oracles.assert_equal(oracles.newest_state(run.members[k].folder), oracles.newest_state(folders[k]))
+        oracles.assert_equal(
+            oracles.newest_state(run.members[k].folder), oracles.newest_state(folders[k])
+        )
 
 
 def test_it_ends_when_none_is_left(tmp_path):

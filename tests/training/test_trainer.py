@@ -13,6 +13,7 @@ from jax import export
 
 import envs
 from mapg_jax.algorithms import heads
+from mapg_jax.training.agent import Agent
 from mapg_jax.training.config import Config, preset
 from mapg_jax.training.trainer import Trainer, make_trainer, run_keys, tree_bytes
 
@@ -196,6 +197,41 @@ def test_before_learning_starts_nothing_is_learned():
     first = jax.device_get(trainer.jitted_init(0).agent.learner)
     oracles.assert_equal(run(trainer, 3).agent.learner, first)
     assert run(trainer, 4).agent.learner.updates == 2
+
+
+# ----- divergence
+
+
+class Poisoned(Agent):
+    """At its third update the metric number `hyper.heads`, from 1, is `hyper.discount`; else 0."""
+
+    def learn(self, state, batch, key):
+        learner = state.learner.replace(updates=state.learner.updates + 1)
+        value = jnp.where(learner.updates == 3, state.hyper.discount, 0.0)
+        count = len(self.algorithm.Metrics._fields)
+        metrics = (jnp.where(state.hyper.heads == k, value, 0.0) for k in range(1, 1 + count))
+        return state.replace(learner=learner), self.algorithm.Metrics(*metrics)
+
+
+@pytest.mark.parametrize(
+    ("config", "third"),
+    [
+        (LIGHT, 20),  # two updates a turn of 4 steps, the first ones at step 16
+        (Config(algorithm="a3c", environments=4, rollout_steps=2, hidden=(4, 4)), 24),
+    ],
+    ids=["mapg", "a3c"],
+)
+def test_any_metric_that_is_not_finite_is_a_divergence_of_its_step(config, third):
+    trainer = oracles.make_trainer(oracles.OneStep(), 5, config)
+    trainer = dataclasses.replace(trainer, agent=Poisoned(**vars(trainer.agent)))
+    for metric in range(1, 1 + len(trainer.agent.algorithm.Metrics._fields)):
+        for value, expected in {np.nan: third, np.inf: third, -np.inf: third, 3e38: -1}.items():
+            state = trainer.jitted_init(0)
+            hyper = state.agent.hyper.replace(heads=jnp.int32(metric), discount=jnp.float32(value))
+            state = state.replace(agent=state.agent.replace(hyper=hyper))
+            state = trainer.jitted_run(state, 10)
+            assert state.agent.learner.updates > 3
+            assert int(state.diverged_at) == expected
 
 
 # ----- chunks, seeds and padding
