@@ -19,6 +19,7 @@ if "PYTEST_XDIST_WORKER" not in os.environ:
 os.environ.setdefault("NPROC", "1")  # XLA threads a process: the processes already fill the cores
 jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+jax.config.update("jax_numpy_rank_promotion", "raise")  # [N] and [N, 1] never make an [N, N]
 
 
 @pytest.fixture(scope="module")

@@ -1,63 +1,96 @@
-"""The order of the rooms: a file imports only from those above it."""
+"""The order of the house: a file imports only from those above it."""
 
 import ast
+import itertools
 import pathlib
 
 import pytest
 
 ROOT = pathlib.Path(__file__).parent.parent
-ROOMS = (
-    "exploration",
-    "heads",
-    "networks",
-    "normalization",
-    "replay",
-    "descent",
-    "mapg",
-    "a3c",
-    "config",
-    "agent",
-    "loop",
-    "a3c_training",
-    "training",
-    "locking",
-    "run_folder",
-    "checkpointing",
-    "policy",
-    "evaluation",
-    "tracking",
-    "statistics",
-    "results",
-    "plotting",
-    "document",
-    "tables",
-    "report",
-    "scoring",
-    "recording",
-    "finishing",
-    "lockstep",
-    "signals",
-    "member",
-    "runner",
-    "grid",
-    "grouping",
-    "timing",
-    "worker",
-    "workers",
-    "sweep_table",
-    "sweep",
-    "sweep_folder",
-    "__init__",
-    "console",
-    "sweep_command",
-    "cli",
-    "__main__",
-)
-PURE = ROOMS[: ROOMS.index("loop")]
+ROOMS = {
+    "algorithms": (
+        "options",
+        "base",
+        "heads",
+        "layer_norm",
+        "networks",
+        "exploration",
+        "normalization",
+        "descent",
+        "mapg_options",
+        "mapg",
+        "a3c",
+        "registry",
+    ),
+    "training": (
+        "config",
+        "replay",
+        "agent",
+        "state",
+        "turns",
+        "evaluation",
+        "trainer",
+        "lockstep",
+        "plugins",
+    ),
+    "runs": (
+        "csv_file",
+        "locking",
+        "signals",
+        "folder",
+        "checkpoints",
+        "contract",
+        "metrics",
+        "progress",
+        "memory",
+        "policy",
+        "scoring",
+        "episode",
+        "curve",
+        "finishing",
+        "member",
+        "run",
+        "train",
+    ),
+    "sweeps": ("grid", "groups", "forecast", "folder", "worker", "pool", "table", "sweep"),
+    "reports": ("results", "inference", "document", "tables", "plots", "report"),
+    "cli": (
+        "console",
+        "parser",
+        "fields",
+        "main",
+        "score",
+        "train",
+        "sweep",
+        "resume",
+        "evaluate",
+        "draw",
+        "report",
+        "paper",
+        "envs",
+    ),
+}
+"""Folders of `mapg_jax`, and the files of each, from top to bottom; CONTRIBUTING.md draws them."""
+PACKAGE = ("foreign", "__init__", "__main__")
+"""Beside the rooms: what stands before them, and the two names of the whole."""
+FILES = [f"{room}.{file}" for room, files in ROOMS.items() for file in files]
+PURE = FILES[: FILES.index("training.trainer")]
+"""No jit, no printing, no files, no state of their own; the trainer is where a program is made."""
+STATE = {"algorithms.registry": {"_ALGORITHMS"}}
+"""Names that `register` makes known for the whole process: by design, and nowhere else."""
 
 
-def imports(path):
-    """Modules that a file imports, as dotted names."""
+def path_of(file: str) -> pathlib.Path:
+    return ROOT / "mapg_jax" / f"{file.replace('.', '/')}.py"
+
+
+def files_of(*packages: str) -> list[pathlib.Path]:
+    """All Python files of those packages."""
+    return sorted(itertools.chain(*((ROOT / package).rglob("*.py") for package in packages)))
+
+
+def imports(path: pathlib.Path):
+    """Modules that a file imports, wherever in it, as dotted names."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -67,41 +100,99 @@ def imports(path):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
+def packages_of(path: pathlib.Path) -> set[str]:
+    return {name.split(".")[0] for name in imports(path)}
+
+
+def imported_files(path: pathlib.Path) -> set[str]:
+    """Those of FILES that a file imports."""
+    names = (name.removeprefix("mapg_jax.") for name in imports(path))
+    return {file for name in names for file in FILES if name == file or name.startswith(f"{file}.")}
+
+
 def test_every_file_has_its_room():
-    assert {path.stem for path in (ROOT / "mapg_jax").glob("*.py")} == set(ROOMS)
+    rooms = {room: set(files) for room, files in ROOMS.items()}
+    found = {
+        folder.name: {file.stem for file in folder.glob("*.py")} - {"__init__"}
+        for folder in (ROOT / "mapg_jax").iterdir()
+        if any(folder.glob("*.py"))
+    }
+    assert found == rooms
+    assert {file.stem for file in (ROOT / "mapg_jax").glob("*.py")} == set(PACKAGE)
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_imports_point_one_way(room):
-    above = ROOMS[: ROOMS.index(room)]
-    for name in imports(ROOT / "mapg_jax" / f"{room}.py"):
-        package, *rest = name.split(".")
-        if package == "mapg_jax" and rest and rest[0] in ROOMS:
-            assert rest[0] in above, f"{room}.py imports {rest[0]}.py, which is not above it"
-        assert package not in {"benchmarks", "tests"}
-        # The command line is the door to the experiments, which stand on all other rooms.
-        assert package != "experiments" or room == "cli"
+@pytest.mark.parametrize("file", FILES)
+def test_imports_point_one_way(file):
+    above = FILES[: FILES.index(file)]
+    for other in imported_files(path_of(file)):
+        assert other in above, f"{file} imports {other}, which is not above it"
+    packages = packages_of(path_of(file))
+    assert not packages & {"benchmarks", "tests"}
+    # The command line is the door to the experiments, which stand on all other rooms.
+    assert "experiments" not in packages or file.startswith("cli.")
+
+
+def test_the_package_offers_what_is_above_the_command_line():
+    assert not imported_files(path_of("foreign"))
+    offered = imported_files(path_of("__init__"))
+    assert offered
+    assert not {file for file in offered if file.startswith("cli.")}
+    assert imported_files(path_of("__main__")) == {"cli.main"}
 
 
 def test_environments_know_nothing_of_the_learner():
-    for path in (ROOT / "envs").rglob("*.py"):
-        packages = {name.split(".")[0] for name in imports(path)}
-        assert not packages & {"mapg_jax", "experiments", "benchmarks", "tests"}, path
+    for path in files_of("envs"):
+        assert not packages_of(path) & {"mapg_jax", "experiments", "benchmarks", "tests"}, path
 
 
-@pytest.mark.parametrize("room", PURE)
-def test_the_rooms_above_the_loop_compute_and_nothing_else(room):
-    """No jit, no printing, no files, no global state."""
+def test_experiments_know_nothing_of_the_command_line():
+    assert any("mapg_jax" in packages_of(path) for path in files_of("experiments"))
+    for path in files_of("experiments"):
+        assert not packages_of(path) & {"benchmarks", "tests"}, path
+        commands = {file for file in imported_files(path) if file.startswith("cli.")}
+        assert not commands, path
+        assert "mapg_jax.cli" not in set(imports(path)), path
+
+
+def test_only_the_command_line_knows_the_experiments():
+    """One command of it; nothing in the rooms above names an experiment."""
+    knowing = {path for path in files_of("mapg_jax") if "experiments" in packages_of(path)}
+    assert knowing == {path_of("cli.paper")}
+
+
+@pytest.mark.parametrize("file", PURE)
+def test_the_rooms_above_the_trainer_compute_and_nothing_else(file):
     forbidden = {"jit", "pmap", "print", "open", "write_text", "read_text", "device_put"}
-    for node in ast.walk(ast.parse((ROOT / "mapg_jax" / f"{room}.py").read_text())):
+    tree = ast.parse(path_of(file).read_text())
+    for node in ast.walk(tree):
         if isinstance(node, ast.Attribute):
-            assert node.attr not in forbidden, f"{room}.py, line {node.lineno}: {node.attr}"
+            assert node.attr not in forbidden, f"{file}, line {node.lineno}: {node.attr}"
         elif isinstance(node, ast.Name):
-            assert node.id not in forbidden, f"{room}.py, line {node.lineno}: {node.id}"
-        assert not isinstance(node, ast.Global | ast.Nonlocal)
+            assert node.id not in forbidden, f"{file}, line {node.lineno}: {node.id}"
+        assert not isinstance(node, ast.Global | ast.Nonlocal), f"{file}, line {node.lineno}"
+    assert changed(tree) == STATE.get(file, set())
+
+
+def changed(tree: ast.Module) -> set[str]:
+    """Names of a module whose values its functions change in place."""
+    changes = {"append", "extend", "add", "update", "setdefault", "pop", "remove", "clear"}
+    found = set()
+    for node in ast.walk(tree):
+        if (isinstance(node, ast.Subscript) and not isinstance(node.ctx, ast.Load)) or (
+            isinstance(node, ast.Attribute) and node.attr in changes
+        ):
+            found |= {node.value.id} if isinstance(node.value, ast.Name) else set()
+    targets = (node.targets for node in tree.body if isinstance(node, ast.Assign))
+    annotated = ([node.target] for node in tree.body if isinstance(node, ast.AnnAssign))
+    names = itertools.chain(*targets, *annotated)
+    return found & {name.id for name in names if isinstance(name, ast.Name)}
 
 
 def test_modules_are_small():
     """Rarely over 300 lines."""
-    for path in (*(ROOT / "mapg_jax").glob("*.py"), *(ROOT / "envs").rglob("*.py")):
-        assert len(path.read_text().splitlines()) <= 330, path
+    long = {
+        str(path.relative_to(ROOT)): lines
+        for path in files_of("mapg_jax", "envs", "experiments")
+        if (lines := len(path.read_text().splitlines())) > 330
+    }
+    assert not long

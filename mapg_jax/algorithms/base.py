@@ -7,7 +7,7 @@ number of axes in front.
 
 import dataclasses
 import typing
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -45,6 +45,7 @@ class Explored(NamedTuple):
     explorer: Any  # leaves [N, ...], the carry
 
 
+@runtime_checkable
 class Algorithm(Protocol):
     """An algorithm: its static part, and pure functions. One file, and one line in `registry`.
 
@@ -67,7 +68,7 @@ class Algorithm(Protocol):
     """By preset, the options in which it departs from its defaults."""
 
     @classmethod
-    def make(cls, options: Any, action_size: int) -> Self:
+    def make(cls, options: Any, action_size: int) -> "Algorithm":
         """The algorithm with those options, for actions of A numbers."""
         ...
 
@@ -125,9 +126,7 @@ class Algorithm(Protocol):
         """The M actions proposed for a state, and the critic's value of each."""
         ...
 
-    def update(
-        self, learner: Any, hyper: Any, batch: Any, key: PRNGKeyArray
-    ) -> tuple[Any, NamedTuple]:
+    def update(self, learner: Any, hyper: Any, batch: Any, key: PRNGKeyArray) -> tuple[Any, Any]:
         """One update.
 
         Args:

@@ -1,8 +1,9 @@
-"""Gradient descent whose learning rate is a traced number."""
+"""Gradient descent whose learning rate is a traced number, and a penalty of weights."""
 
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
@@ -26,3 +27,10 @@ def descend(
     """Parameters and optimiser after one step."""
     step, state = optimizer.update(gradient, state, params)
     return jax.tree.map(lambda x, dx: x - learning_rate * dx, params, step), state
+
+
+def kernel_l2(params: Params) -> Float[Array, ""]:
+    r"""$\frac{1}{2} \sum_W \|W\|^2$ over the weight matrices; biases and layer norms are free."""
+    leaves = jax.tree_util.tree_leaves_with_path(params)
+    kernels = [x for path, x in leaves if "kernel" in jax.tree_util.keystr(path)]
+    return 0.5 * jax.tree.reduce(jnp.add, [jnp.square(x).sum() for x in kernels])

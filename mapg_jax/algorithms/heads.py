@@ -14,9 +14,9 @@ Select = Literal["uniform", "argmax-q", "mean", "first"]
 """How one action is made of the M proposals."""
 
 
-def in_use(heads: Int[Array, ""], size: int) -> Bool[Array, "M"]:
-    """Which of `size` heads are in use."""
-    return jnp.arange(size) < heads
+def in_use(heads: Int[Array, ""], shape: tuple[int, ...]) -> Bool[Array, "... M"]:
+    """Which heads are in use, for numbers of that shape, [*B, M]."""
+    return _numbers(shape) < heads
 
 
 def draw(key: PRNGKeyArray, heads: Int[Array, ""], shape: tuple[int, ...]) -> Int[Array, "..."]:
@@ -26,14 +26,14 @@ def draw(key: PRNGKeyArray, heads: Int[Array, ""], shape: tuple[int, ...]) -> In
 
 def take(proposals: Float[Array, "*B M A"], head: Integer[Array, "*B"]) -> Float[Array, "*B A"]:
     """The proposals of the given heads; the gradient reaches those heads alone."""
-    chosen = head[..., None] == jnp.arange(proposals.shape[-2])
+    chosen = head[..., None] == _numbers(proposals.shape[:-1])
     # A masked sum: the gradient of a gather would be a scatter, which XLA runs row by row on a CPU.
     return jnp.where(chosen[..., None], proposals, 0.0).sum(-2)
 
 
 def mean(values: Float[Array, "*B M"], heads: Int[Array, ""]) -> Float[Array, "*B"]:
     r"""$\frac{1}{M} \sum_m v_m$ over the heads in use (MAPG, Eq. 6)."""
-    mask = in_use(heads, values.shape[-1])
+    mask = in_use(heads, values.shape)
     return jnp.where(mask, values, 0.0).sum(-1) / heads
 
 
@@ -50,7 +50,7 @@ def spread(proposals: Float[Array, "*B M A"], heads: Int[Array, ""]) -> Float[Ar
 
 def q_gap(values: Float[Array, "*B M"], heads: Int[Array, ""]) -> Float[Array, "*B"]:
     r"""$\max_m Q_m - \min_m Q_m$: 0 in an optimal policy (MAPG, section 3.2)."""
-    mask = in_use(heads, values.shape[-1])
+    mask = in_use(heads, values.shape)
     highest = jnp.where(mask, values, -jnp.inf).max(-1)
     return highest - jnp.where(mask, values, jnp.inf).min(-1)
 
@@ -77,8 +77,13 @@ def choose(
     if select == "uniform":
         return take(proposals, draw(key, heads, batch))
     if select == "argmax-q":
-        mask = in_use(heads, values.shape[-1])
+        mask = in_use(heads, values.shape)
         return take(proposals, jnp.where(mask, values, -jnp.inf).argmax(-1))
     if select == "mean":
         return mean(jnp.swapaxes(proposals, -1, -2), heads)
     return take(proposals, jnp.zeros(batch, jnp.int32))
+
+
+def _numbers(shape: tuple[int, ...]) -> Int[Array, "... M"]:
+    """The heads' numbers along the last axis."""
+    return jnp.expand_dims(jnp.arange(shape[-1]), range(len(shape) - 1))

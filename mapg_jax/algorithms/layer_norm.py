@@ -1,8 +1,8 @@
 """Layer norm and ReLU (Ba, Kiros and Hinton 2016) whose sums are matrix products.
 
-XLA on a CPU runs matrix products fast and sums over one axis of a matrix slowly, so each sum here is
-a product with ones, in the derivatives of any order too: a broadcast is written as a product with
-ones wherever its transpose, a sum, will be needed.
+XLA on a CPU runs matrix products fast and sums over one axis of a matrix slowly, so each sum here
+is a product with ones, in the derivatives of any order too: a broadcast is written as a product
+with ones wherever its transpose, a sum, will be needed.
 """
 
 import jax
@@ -41,7 +41,7 @@ def _standardized(x):
 
 @jax.custom_jvp
 def _layer_norm_relu(x, scale, bias):
-    return jax.nn.relu(_standardized(x)[0] * scale + bias)
+    return jax.nn.relu(_standardized(x)[0] * scale[None] + bias[None])
 
 
 @_layer_norm_relu.defjvp
@@ -50,10 +50,10 @@ def _layer_norm_relu_jvp(primals, tangents):
     dx, dscale, dbias = tangents
     batch, width = x.shape
     standard, inverse = _standardized(x)
-    y = jax.nn.relu(standard * scale + bias)
+    y = jax.nn.relu(standard * scale[None] + bias[None])
     centred = dx - _along(_mean(dx), width)
     dstandard = inverse * (centred - standard * _along(_mean(standard * dx), width))
-    dy = dstandard * scale + standard * _over(dscale, batch) + _over(dbias, batch)
+    dy = dstandard * scale[None] + standard * _over(dscale, batch) + _over(dbias, batch)
     return y, jnp.where(y > 0, dy, 0.0)
 
 

@@ -67,6 +67,10 @@ def _last_layer(width):
     return nn.Dense(width, kernel_init=_last_layer_uniform, bias_init=_last_layer_uniform)
 
 
+def _plus(x, bias):
+    return x + jnp.expand_dims(bias, range(x.ndim - 1))
+
+
 class Actor(nn.Module):
     r"""$\rho_1(s) \ldots \rho_M(s)$, each in [-1, 1]^A."""
 
@@ -85,7 +89,7 @@ class Actor(nn.Module):
         init = _per_head_uniform(self.heads)
         kernel = self.param("kernel", init, (x.shape[-1], self.heads * self.action_size))
         bias = self.param("bias", init, (1, self.heads * self.action_size))
-        x = (x @ kernel + bias[0]).reshape(*x.shape[:-1], self.heads, self.action_size)
+        x = _plus(x @ kernel, bias[0]).reshape(*x.shape[:-1], self.heads, self.action_size)
         return jnp.tanh(x if head is None else take(x, head))
 
 
@@ -115,7 +119,8 @@ class Critic(nn.Module):
         features_kernel = self.param("features_kernel", init, (sizes[0], width))
         action_kernel = self.param("action_kernel", init, (sizes[1], width))
         bias = self.param("joint_bias", nn.initializers.zeros, (width,))
-        return (features @ features_kernel + bias)[..., None, :] + actions @ action_kernel
+        x = _plus(features @ features_kernel, bias)
+        return x[..., None, :] + actions @ action_kernel
 
 
 class GaussianActor(nn.Module):

@@ -36,7 +36,7 @@ def update(state: NormalizerState, batch: Float[Array, "N D"]) -> NormalizerStat
         count=count,
         mean=state.mean + delta * n / count,
         deviations=state.deviations
-        + jnp.square(batch - batch_mean).sum(0)
+        + jnp.square(batch - batch_mean[None]).sum(0)
         + jnp.square(delta) * state.count * n / count,
     )
 
@@ -47,4 +47,6 @@ def normalize(
     r"""$\mathrm{clip}((s - \bar s) / \sigma, \pm c)$, σ² at least `VARIANCE_FLOOR`."""
     variance = state.deviations / jnp.maximum(state.count, 1.0)
     scale = jax.lax.rsqrt(jnp.maximum(variance, VARIANCE_FLOOR))
-    return jnp.clip((observation - state.mean) * scale, -clip, clip)
+    front = range(observation.ndim - 1)
+    centred = observation - jnp.expand_dims(state.mean, front)
+    return jnp.clip(centred * jnp.expand_dims(scale, front), -clip, clip)

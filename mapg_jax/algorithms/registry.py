@@ -15,6 +15,8 @@ _ALGORITHMS: dict[str, type[Algorithm]] = {
     "mapg": Mapg,
     "a3c": A3c,
 }
+# What is read of it has an inferred type, type[Algorithm]: tests check what is annotated, and the
+# class of a protocol with attributes cannot be checked.
 
 
 def register(name: str, algorithm: Any) -> None:
@@ -38,7 +40,7 @@ def names() -> tuple[str, ...]:
     return tuple(dict.fromkeys([*_ALGORITHMS, *(point.name for point in _offered())]))
 
 
-def find(name: str) -> type[Algorithm]:
+def find(name: str):
     """The algorithm of that name.
 
     Raises:
@@ -56,7 +58,7 @@ def find(name: str) -> type[Algorithm]:
     return _ALGORITHMS[name]
 
 
-def of_slug(slug: str, heads: int) -> type[Algorithm]:
+def of_slug(slug: str, heads: int):
     """The algorithm that has that name in results.
 
     Raises:
@@ -68,7 +70,7 @@ def of_slug(slug: str, heads: int) -> type[Algorithm]:
     raise ValueError(f"no algorithm with M = {heads} is called {slug!r}")
 
 
-def name_of(algorithm: type[Algorithm]) -> str:
+def name_of(algorithm: Any) -> str:
     """The name by which an algorithm is registered."""
     return next(name for name, known in _ALGORITHMS.items() if known is algorithm)
 

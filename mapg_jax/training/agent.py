@@ -1,7 +1,7 @@
 """What acts and learns: an algorithm behind the normalisation of its observations."""
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any
 
 from flax import struct
 from jaxtyping import Array, Float, PRNGKeyArray
@@ -76,7 +76,7 @@ class Agent:
 
     def learn(
         self, state: AgentState, batch: Transition | Rollout, key: PRNGKeyArray
-    ) -> tuple[AgentState, NamedTuple]:
+    ) -> tuple[AgentState, Any]:
         """One update on prepared transitions."""
         learner, metrics = self.algorithm.update(state.learner, state.hyper, batch, key)
         return state.replace(learner=learner), metrics

@@ -4,7 +4,7 @@ import dataclasses
 import fractions
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,7 @@ Step = Callable[[TrainState, PRNGKeyArray], tuple[TrainState, Transition, Bool[A
 """One step of every environment; see `Trainer.step`."""
 
 
+@runtime_checkable
 class Turn(Protocol):
     """(state) → the state after one more turn."""
 
@@ -176,18 +177,16 @@ TURNS: Mapping[Experience, Callable[[Any, Agent, Step], Turn]] = {
 }
 
 
-def _added(total: NamedTuple, metrics: NamedTuple) -> Any:
+def _added(total: Any, metrics: Any) -> Any:
     return jax.tree.map(jnp.add, total, metrics)
 
 
-def _finite(metrics: NamedTuple) -> Bool[Array, ""]:
+def _finite(metrics: Any) -> Bool[Array, ""]:
     """Whether all metrics are: their sum is not where one of them is not."""
     return jnp.isfinite(sum(metrics))
 
 
-def _learnt(
-    state: TrainState, updates: Any, metrics: NamedTuple, diverged: Bool[Array, ""]
-) -> TrainState:
+def _learnt(state: TrainState, updates: Any, metrics: Any, diverged: Bool[Array, ""]) -> TrainState:
     """`state` with some updates counted, and the step of the first that was not finite."""
     first = diverged & (state.diverged_at < 0)
     return state.replace(

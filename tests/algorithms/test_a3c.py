@@ -9,35 +9,50 @@ import numpy as np
 import oracles
 import pytest
 import scipy.stats
-from mapg_jax.runs.runner import resume
-from test_runner import assert_same_run, copy
 
-import mapg_jax
 from mapg_jax import load_policy
 from mapg_jax.algorithms import a3c
-from mapg_jax.algorithms.a3c import Rollout, UpdateMetrics
+from mapg_jax.algorithms.a3c import UpdateMetrics
+from mapg_jax.algorithms.base import Transition
 from mapg_jax.algorithms.descent import adam
 from mapg_jax.algorithms.networks import VARIANCE_FLOOR
 from mapg_jax.runs.member import DivergedError
 from mapg_jax.runs.metrics import read_metrics
+from mapg_jax.runs.train import begin, take_up
 from mapg_jax.training.config import Config
 from mapg_jax.training.evaluation import play
 from mapg_jax.training.trainer import make_trainer
 
-TINY = dataclasses.replace(
-    oracles.TINY,
+TINY = Config(
     algorithm="a3c",
-    a3c_rollout_steps=5,
+    environments=4,
+    rollout_steps=5,
     hidden=(16, 16),
     layer_norm=False,
     normalize=False,
 )
-RUN = dataclasses.replace(oracles.RUN, algorithm="a3c", a3c_rollout_steps=2)
+RUN = Config(
+    algorithm="a3c", environments=4, rollout_steps=2, hidden=(8, 8), steps=800, time_limit=50,
+    evaluate_every=200, evaluation_episodes=2, final_episodes=3, checkpoint_seconds=1e-9,
+    checkpoints_kept=100,
+)  # fmt: skip
 """A whole run in turns of 2 steps of 4 environments."""
 
 
 def run(trainer, turns, seed=0):
     return trainer.jitted_run(trainer.jitted_init(seed), turns)
+
+
+def rollout(observation, sample=None) -> Transition:
+    """What losses read of a rollout."""
+    return Transition(observation, sample, None, None, None, None)
+
+
+def train_run(config, path):
+    """The folder of a whole run, which is not scored."""
+    whole = begin(config, path)
+    whole.go()
+    return whole.folder
 
 
 def fresh():
@@ -124,11 +139,11 @@ def test_the_actors_gradient_is_the_closed_form():
     actor = jax.jit(network.init)(jax.random.key(0), observation)
     action, advantage = np.array([[0.9, -1.3], [0.2, 0.1], [-2.0, 0.5]]), np.array([2.0, -1.0, 0.5])
     repeated = jnp.repeat(observation, 3, 0)[:, None]
-    rollout = Rollout(repeated, jnp.float32(action)[:, None], None, None, None, None)
+    steps = rollout(repeated, jnp.float32(action)[:, None])
 
     def loss(actor):
         return algorithm.actor_loss(
-            actor, rollout, jnp.float32(advantage)[:, None], jnp.float32(beta)
+            actor, steps, jnp.float32(advantage)[:, None], jnp.float32(beta)
         )[0]
 
     gradient = jax.jit(jax.grad(loss))(actor)["params"]
@@ -149,9 +164,9 @@ def test_the_critic_loss_is_the_mean_square():
     algorithm, learner = fresh()
     rng = np.random.default_rng(0)
     observation, returns = rng.normal(size=(3, 4, 1)), rng.normal(size=(3, 4))
-    rollout = Rollout(jnp.float32(observation), None, None, None, None, None)
-    value = np.asarray(algorithm.value(learner.critic, rollout.observation))
-    found = algorithm.critic_loss(learner.critic, rollout, jnp.float32(returns))
+    steps = rollout(jnp.float32(observation))
+    value = np.asarray(algorithm.value(learner.critic, steps.observation))
+    found = algorithm.critic_loss(learner.critic, steps, jnp.float32(returns))
     np.testing.assert_allclose(found, ((returns - value) ** 2).mean(), rtol=1e-5)
 
 
@@ -161,19 +176,21 @@ def test_the_critic_loss_is_the_mean_square():
 @pytest.mark.parametrize("truncation", ["bootstrap", "terminal"])
 def test_rollouts_are_the_environments(truncation):
     """RandomLength shows the steps left, so each row can be checked on its own."""
-    config = dataclasses.replace(TINY, truncation=truncation, a3c_rollout_steps=60, normalize=True)
+    config = dataclasses.replace(TINY, truncation=truncation, rollout_steps=60, normalize=True)
     trainer = oracles.make_trainer(oracles.RandomLength(), 5, config)
-    state, rows = jax.jit(trainer.collect)(trainer.jitted_init(0), jax.random.key(1))
+    state, collected = jax.jit(trainer.turn.collect)(trainer.jitted_init(0), jax.random.key(1))
+    rows = collected.steps
     left, worth = np.moveaxis(np.asarray(rows.observation), -1, 0)
-    executed = np.clip(rows.action[..., 0], -1, 1)
-    assert (executed != rows.action[..., 0]).any()
+    executed = np.clip(rows.extra[..., 0], -1, 1)
+    np.testing.assert_array_equal(rows.action[..., 0], executed)
+    assert (executed != rows.extra[..., 0]).any()  # the sample is kept, and may lie outside
     np.testing.assert_allclose(rows.reward, left * worth + executed, rtol=1e-5)
     np.testing.assert_array_equal(rows.next_observation[..., 0], left - 1)
     steps = np.zeros(config.environments, int)
     for t in range(60):
         steps += 1
         terminated, truncated = left[t] == 1, steps == 5
-        np.testing.assert_array_equal(rows.ended[t], terminated | truncated)
+        np.testing.assert_array_equal(collected.ended[t], terminated | truncated)
         ends = terminated | truncated if truncation == "terminal" else terminated
         np.testing.assert_array_equal(rows.terminal[t], ends)
         following = rows.observation[t + 1] if t < 59 else state.env.obs
@@ -181,10 +198,10 @@ def test_rollouts_are_the_environments(truncation):
         np.testing.assert_array_equal(same, ~(terminated | truncated))
         steps[terminated | truncated] = 0
     assert int(state.env_steps) == trainer.steps_per_turn == 60 * config.environments
-    assert state.totals.episodes == np.asarray(rows.ended).sum() > 20
+    assert state.totals.episodes == np.asarray(collected.ended).sum() > 20
 
     # The statistics stand still while a turn lasts, and then hold every observation acted on.
-    learned = jax.jit(trainer.learn)(state, rows)
+    learned = jax.jit(trainer.turn.learn)(state, collected, jax.random.key(2))
     seen = np.concatenate([rows.observation, np.asarray(state.env.obs)[None]]).reshape(-1, 2)
     assert learned.agent.normalizer.count == len(seen)
     np.testing.assert_allclose(learned.agent.normalizer.mean, seen.mean(0), rtol=1e-5)
@@ -195,7 +212,7 @@ def test_rollouts_are_the_environments(truncation):
 
 
 def train(env, time_limit, turns, **changes):
-    rates = {"a3c_actor_learning_rate": 3e-3, "a3c_critic_learning_rate": 1e-2}
+    rates = {"actor_learning_rate": 3e-3, "critic_learning_rate": 1e-2}
     config = dataclasses.replace(TINY, environments=16, discount=0.5, **rates, **changes)
     trainer = oracles.make_trainer(env, time_limit, config)
     return trainer, run(trainer, turns)
@@ -208,11 +225,11 @@ def train(env, time_limit, turns, **changes):
         # Reward 1 for ever at γ = ½ is worth 2 wherever the time limit cuts, also in the middle of
         # a rollout; where the limit counts as an end, 3 steps are worth 1 + ½ + ¼, 1 + ½ and 1, and
         # one that cannot tell them apart learns their mean, 17 / 12.
-        (oracles.Endless(), 3, {"a3c_rollout_steps": 4}, {0.0: 2.0}),
+        (oracles.Endless(), 3, {"rollout_steps": 4}, {0.0: 2.0}),
         (
             oracles.Endless(),
             3,
-            {"a3c_rollout_steps": 30, "truncation": "terminal"},
+            {"rollout_steps": 30, "truncation": "terminal"},
             {0.0: 17 / 12},
         ),
     ],
@@ -237,7 +254,7 @@ def test_the_mean_finds_the_best_action():
 def test_entropy_keeps_the_variance_where_nothing_is_to_be_gained():
     """Reward 1 whatever is done: with a weight σ² grows beyond 1.2, without it stays near 0.69."""
     for weight, (low, high) in {0.0: (0.6, 0.8), 1.0: (1.2, np.inf)}.items():
-        trainer, state = train(oracles.OneStep(), 10, turns=400, a3c_entropy_weight=weight)
+        trainer, state = train(oracles.OneStep(), 10, turns=400, entropy_weight=weight)
         _, variance = trainer.agent.algorithm.gaussian(state.agent.learner.actor, jnp.zeros(1))
         assert low < float(variance) < high
 
@@ -257,14 +274,10 @@ def test_it_learns_pendulum():
 # ----- a run
 
 
-def test_equal_runs_are_equal_configurations():
-    assert Config(algorithm="a3c", heads=10) == Config(algorithm="a3c", heads=1)
-
-
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """The first of its checkpoints is at step 128."""
-    return mapg_jax.train(RUN, tmp_path_factory.mktemp("runs") / "pendulum")
+    return train_run(RUN, tmp_path_factory.mktemp("runs") / "pendulum")
 
 
 def test_metrics_have_a_row_an_evaluation(finished):
@@ -284,24 +297,24 @@ def test_metrics_have_a_row_an_evaluation(finished):
 
 @pytest.mark.parametrize("upto", [128, 400])
 def test_resuming_equals_not_stopping(finished, tmp_path, upto):
-    folder = copy(finished, tmp_path / "run", upto)
-    run = resume(folder.path)
+    folder = oracles.copy_run(finished, tmp_path / "run", upto)
+    run = take_up(folder.path)
     assert run.env_steps == upto
     run.go()
-    assert_same_run(folder, finished)
+    oracles.assert_same_run(folder, finished)
 
 
 def test_a_finished_run_goes_further(finished, tmp_path):
-    folder = mapg_jax.train(dataclasses.replace(finished.config, steps=400), tmp_path / "run")
-    resume(folder.path, steps=800).go()
-    assert_same_run(folder, finished)
+    folder = train_run(dataclasses.replace(finished.config, steps=400), tmp_path / "run")
+    take_up(folder.path, steps=800).go()
+    oracles.assert_same_run(folder, finished)
 
 
 def test_divergence_stops_at_its_step(tmp_path):
     """A rate of 1e30: the second update meets parameters near 1e30."""
-    config = dataclasses.replace(RUN, a3c_critic_learning_rate=1e30)
+    config = dataclasses.replace(RUN, critic_learning_rate=1e30)
     with pytest.raises(DivergedError, match="no longer finite at step 16"):
-        mapg_jax.train(config, tmp_path / "run")
+        train_run(config, tmp_path / "run")
 
 
 def test_the_saved_policy_samples_or_takes_the_mean(finished):
@@ -322,6 +335,7 @@ def test_choices_among_heads_are_refused(finished, select):
         load_policy(finished.path, select=select)
 
 
-def test_what_means_nothing_for_a3c_does_not_tell_its_runs_apart():
-    one = Config(algorithm="a3c", heads=5, noise="none", noise_scale=0.5, gradient="all")
-    assert one == Config(algorithm="a3c")
+def test_it_proposes_one_action_and_has_no_option_of_its_heads():
+    assert Config(algorithm="a3c").heads == 1
+    with pytest.raises(ValueError, match="heads is an option of mapg, not of a3c"):
+        Config(algorithm="a3c", heads=1)

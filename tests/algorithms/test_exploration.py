@@ -62,9 +62,3 @@ def test_scales_take_even_steps_and_one_scale_is_exact():
     )
     alike = exploration.scales(jnp.float32(SIGMA), jnp.float32(SIGMA), 16)
     np.testing.assert_array_equal(alike, np.full((16, 1), SIGMA, np.float32))
-
-
-def test_restart_is_for_the_episodes_that_ended():
-    noise = jnp.arange(1.0, 9.0).reshape(4, 2)
-    restarted = exploration.restart(noise, jnp.array([True, False, False, True]))
-    np.testing.assert_array_equal(restarted, [[0, 0], [3, 4], [5, 6], [0, 0]])

@@ -13,14 +13,9 @@ import optax
 import oracles
 import pytest
 
-from mapg_jax.algorithms.mapg import (
-    Hyperparameters,
-    LearnerState,
-    Mapg,
-    Transition,
-    kernel_l2,
-    td_target,
-)
+from mapg_jax.algorithms.base import Transition
+from mapg_jax.algorithms.descent import kernel_l2
+from mapg_jax.algorithms.mapg import Hyperparameters, LearnerState, Mapg, td_target
 from mapg_jax.training.agent import hyperparameters, make_agent
 from mapg_jax.training.config import Config
 
@@ -77,16 +72,17 @@ def setup(
         actor_optimizer=algorithm.optimizer.init(state.actor),
         critic_optimizer=algorithm.optimizer.init(state.critic),
     )
-    names = set(vars(hyperparameters(config))) - {"heads"}
+    hyper = hyperparameters(config)
+    names = set(vars(hyper)) - {"heads", "noise_scale", "noise_scale_last"}  # no update asks for σ
     numbers = {name: jnp.float64(getattr(config, name)) for name in names}
-    return algorithm, state, Hyperparameters(heads=jnp.int32(config.heads), **numbers)
+    return algorithm, state, hyper.replace(**numbers)
 
 
 def make_batch(heads, terminal=0.3, seed=0, size=B) -> Transition:
     rng = np.random.default_rng(seed)
     return Transition(
         observation=jnp.asarray(rng.normal(size=(size, D))),
-        head=jnp.asarray(rng.choice(heads, size), jnp.uint8),
+        extra=jnp.asarray(rng.choice(heads, size), jnp.uint8),
         action=jnp.asarray(rng.uniform(-1, 1, (size, A))),
         reward=jnp.asarray(rng.normal(size=size)),
         terminal=jnp.asarray(rng.random(size) < terminal),
@@ -126,7 +122,7 @@ def test_td_target_is_the_one_step_return():
 
 def slow_next_values(algorithm, state, observation):
     """Q'(s', ρ'_m(s')), one state and one head at a time, [B, M]."""
-    proposals = jax.jit(algorithm.proposals)(state.actor_target, observation)
+    proposals = jax.jit(algorithm.actions)(state.actor_target, observation)
     values = jax.jit(algorithm.values)
     return np.array(
         [
@@ -223,7 +219,7 @@ def test_the_trunk_gets_the_gradient_of_the_head_that_acted(m):
     batch = make_batch([m])
     gradient = actor_gradient(CONFIG, batch)
     actor = oracles.with_one_head(setup(CONFIG)[1].actor, M, m)
-    own = batch._replace(head=jnp.zeros(B, jnp.uint8))
+    own = batch._replace(extra=jnp.zeros(B, jnp.uint8))
     alone = actor_gradient(dataclasses.replace(CONFIG, heads=1), own, actor=actor)
     assert_close(oracles.trunk(gradient), oracles.trunk(alone))
     (kernel, bias), (kernel_alone, bias_alone) = (
@@ -236,7 +232,7 @@ def test_the_trunk_gets_the_gradient_of_the_head_that_acted(m):
 def test_all_is_the_mean_of_the_gradients_of_every_head():
     batch = make_batch(range(M))
     each = [
-        actor_gradient(CONFIG, batch._replace(head=jnp.full(B, m, jnp.uint8))) for m in range(M)
+        actor_gradient(CONFIG, batch._replace(extra=jnp.full(B, m, jnp.uint8))) for m in range(M)
     ]
     expected = jax.tree.map(lambda *gradients: sum(gradients) / M, *each)
     assert_close(actor_gradient(dataclasses.replace(CONFIG, gradient="all"), batch), expected)
@@ -261,7 +257,7 @@ def test_resampled_heads_are_the_full_gradient_on_average():
 @pytest.mark.parametrize("gradient", ["resampled", "all"])
 def test_only_the_stored_rule_asks_who_acted(gradient):
     batch = make_batch(range(M))
-    others = batch._replace(head=(batch.head + 1) % M)
+    others = batch._replace(extra=(batch.extra + 1) % M)
     config = dataclasses.replace(CONFIG, gradient=gradient)
     oracles.assert_equal(actor_gradient(config, batch), actor_gradient(config, others))
     stored, stored_others = actor_gradient(CONFIG, batch), actor_gradient(CONFIG, others)

@@ -1,15 +1,23 @@
-"""Nonsense is refused at once, with the numbers; presets run."""
+"""Nonsense is refused at once, with the numbers; fields are those of the algorithm; presets."""
 
-import ast
 import dataclasses
-import inspect
 import math
 import typing
 
 import pytest
 
 import envs
-from mapg_jax.training.config import PRESETS, Config
+from mapg_jax.algorithms import registry
+from mapg_jax.algorithms.a3c import A3cOptions
+from mapg_jax.training.config import (
+    PRESETS,
+    Config,
+    ReplayConfig,
+    RolloutConfig,
+    config_type,
+    fields,
+    preset,
+)
 
 
 @pytest.mark.parametrize(
@@ -44,10 +52,6 @@ from mapg_jax.training.config import PRESETS, Config
         ({"max_gradient_norm": 0.0}, "max_gradient_norm must be above 0, got 0.0"),
         ({"noise_scale": -0.2}, "noise_scale must be at least 0, got -0.2"),
         ({"noise_scale_last": -0.2}, "noise_scale_last must be at least 0, got -0.2"),
-        ({"a3c_rollout_steps": 0}, "a3c_rollout_steps must be at least 1, got 0"),
-        ({"a3c_entropy_weight": -1.0}, "a3c_entropy_weight must be at least 0, got -1.0"),
-        ({"a3c_actor_learning_rate": 0.0}, "a3c_actor_learning_rate must be above 0, got 0.0"),
-        ({"a3c_max_gradient_norm": 0.0}, "a3c_max_gradient_norm must be above 0, got 0.0"),
         ({"time_limit": 0}, "time_limit must be at least 1, got 0"),
         ({"evaluate_every": 0}, "evaluate_every must be at least 1, got 0"),
         ({"checkpoint_seconds": 0.0}, "checkpoint_seconds must be above 0, got 0.0"),
@@ -63,6 +67,22 @@ def test_nonsense_is_refused_with_the_numbers(changes, message):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"rollout_steps": 0}, "rollout_steps must be at least 1, got 0"),
+        ({"entropy_weight": -1.0}, "entropy_weight must be at least 0, got -1.0"),
+        ({"actor_learning_rate": 0.0}, "actor_learning_rate must be above 0, got 0.0"),
+        ({"critic_learning_rate": math.inf}, "critic_learning_rate must be finite, got inf"),
+        ({"max_gradient_norm": 0.0}, "max_gradient_norm must be above 0, got 0.0"),
+        ({"discount": 1.0}, r"discount must be in \[0, 1\), got 1.0"),
+    ],
+)
+def test_nonsense_is_refused_of_a3c_as_well(changes, message):
+    with pytest.raises(ValueError, match=message):
+        Config(algorithm="a3c", **changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
         ({"algorithm": "ppo"}, "algorithm must be one of mapg, a3c, got 'ppo'"),
         ({"gradient": "al"}, "gradient must be one of stored, resampled, all, got 'al'"),
         ({"target": "max"}, "target must be one of mean, sampled, got 'max'"),
@@ -71,19 +91,119 @@ def test_nonsense_is_refused_with_the_numbers(changes, message):
     ],
 )
 def test_unknown_choices_are_refused(changes, message):
-    """Under the tests' import hook the types would refuse them first."""
-    config = object.__new__(Config)
-    vars(config).update(dataclasses.asdict(Config()) | changes)
     with pytest.raises(ValueError, match=message):
-        config.__post_init__()
+        Config(**changes)
 
 
-def test_every_number_has_its_help_text():
-    (cls,) = (x for x in ast.parse(inspect.getsource(Config)).body if isinstance(x, ast.ClassDef))
-    for field, text in zip(cls.body, cls.body[1:], strict=False):
-        if isinstance(field, ast.AnnAssign):
-            assert isinstance(text, ast.Expr), ast.unparse(field)
-            assert isinstance(text.value, ast.Constant), ast.unparse(field)
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"heads": 3.0}, "heads must be int, got 3.0"),
+        ({"heads": True}, "heads must be int, got True"),
+        ({"heads": "3"}, "heads must be int, got '3'"),
+        ({"tau": "0.1"}, "tau must be float, got '0.1'"),
+        ({"normalize": 1}, "normalize must be bool, got 1"),
+        ({"hidden": 64}, r"hidden must be tuple\[int, ...\], got 64"),
+        ({"hidden": (64, 0.5)}, r"hidden must be tuple\[int, ...\], got \(64, 0.5\)"),
+        ({"time_limit": 0.5}, r"time_limit must be int \| None, got 0.5"),
+        ({"env": None}, "env must be str, got None"),
+    ],
+)
+def test_values_of_another_type_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        Config(**changes)
+
+
+# ----- the fields of an algorithm
+
+
+def test_a_run_has_what_all_have_and_what_its_algorithm_brings():
+    for name, options, other in (
+        ("mapg", registry.find("mapg").Options, RolloutConfig),
+        ("a3c", A3cOptions, ReplayConfig),
+    ):
+        cls = type(Config(algorithm=name))
+        assert cls is config_type(name)
+        assert issubclass(cls, (Config, options))
+        assert not issubclass(cls, other)
+    assert {"rollout_steps", "entropy_weight"} <= fields(config_type("a3c")).keys()
+    assert not {"tau", "noise", "replay_size", "heads"} & fields(config_type("a3c")).keys()
+    assert not {"rollout_steps", "entropy_weight"} & fields(config_type("mapg")).keys()
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "name", "message"),
+    [
+        ("a3c", "tau", "tau is an option of mapg, not of a3c"),
+        ("a3c", "heads", "heads is an option of mapg, not of a3c"),
+        ("a3c", "batch_size", "batch_size is an option of mapg, not of a3c"),
+        ("mapg", "rollout_steps", "rollout_steps is an option of a3c, not of mapg"),
+        ("mapg", "entropy_weight", "entropy_weight is an option of a3c, not of mapg"),
+        ("mapg", "stepz", "stepz is no option of a run; mapg has .*steps"),
+    ],
+)
+def test_fields_of_another_algorithm_say_whose_they_are(algorithm, name, message):
+    for make in (Config, preset):
+        with pytest.raises(ValueError, match=message):
+            make(algorithm=algorithm, **{name: 1})
+
+
+def test_equal_runs_are_equal_configurations():
+    """However they are written; and runs of two algorithms are never one."""
+    one = Config(hidden=[8, 8], env_options={"g": 9.81})
+    assert one == Config(algorithm="mapg", hidden=(8, 8), env_options=("g=9.81",))
+    assert hash(one) == hash(Config(hidden=(8, 8), env_options=["g=9.81"]))
+    assert one != dataclasses.replace(one, hidden=(8, 9))
+    assert Config(algorithm="a3c") == Config(algorithm="a3c", rollout_steps=10)
+    assert Config(algorithm="a3c") != Config(heads=1)
+    assert len({Config(heads=1), Config(algorithm="a3c"), Config(algorithm="a3c")}) == 2
+
+
+def test_lists_and_dicts_of_a_notebook_are_taken():
+    config = Config(hidden=[8, 8], env_options={"g": 9.81})
+    assert (config.hidden, config.env_options) == ((8, 8), ("g=9.81",))
+    assert config.parsed_env_options() == {"g": 9.81}
+    assert config.make_env().g == 9.81
+
+
+def test_replace_changes_a_field_but_not_the_algorithm():
+    config = dataclasses.replace(Config(algorithm="a3c", rollout_steps=5), steps=400)
+    assert config == Config(algorithm="a3c", rollout_steps=5, steps=400)
+    for one, other in (("mapg", "a3c"), ("a3c", "mapg")):
+        with pytest.raises(ValueError, match=f"{one} cannot become one of {other}; make it by"):
+            dataclasses.replace(Config(algorithm=one), algorithm=other)
+
+
+@pytest.mark.parametrize("algorithm", registry.names())
+def test_every_option_has_its_help_text_and_a_default_within_its_bounds(algorithm):
+    """The bounds are those that refuse: what lies just beyond each is no value of the option."""
+    config, known = Config(algorithm=algorithm), fields(config_type(algorithm))
+    assert {"env", "steps", "seed", "discount"} < known.keys()
+    for name, field in known.items():
+        assert len(field.metadata["help"].split()) > 1, name
+        assert getattr(config, name) == field.default, name
+        for words, bound in field.metadata["bounds"].items():
+            beyond = {
+                "at least": bound - 1, "above": bound, "at most": bound + 1, "below": bound,
+            }[words]  # fmt: skip
+            with pytest.raises(ValueError, match=f"^{name} must be "):
+                dataclasses.replace(config, **{name: beyond})
+
+
+@pytest.mark.parametrize("algorithm", registry.names())
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_preset_is_a_run_of_every_algorithm(name, algorithm):
+    """It takes of the preset what it has; what it adds itself, and what is given, win."""
+    config, own = preset(name, algorithm), registry.find(algorithm).presets.get(name, {})
+    for field in fields(config_type(algorithm)).keys() - {"algorithm"}:
+        default = getattr(Config(algorithm=algorithm), field)
+        assert getattr(config, field) == own.get(field, PRESETS[name].get(field, default)), field
+    assert preset(name, algorithm, steps=400) == dataclasses.replace(config, steps=400)
+
+
+def test_an_unknown_preset_is_refused():
+    with pytest.raises(ValueError, match="preset must be one of paper, parallel, smoke, got 'pap'"):
+        preset("pap")
 
 
 def test_a_run_cannot_be_changed_by_accident():
@@ -112,8 +232,8 @@ def test_the_time_limit_is_gymnasiums_unless_it_is_given():
 
 def test_the_paper_is_the_default():
     """The numbers of the paper, and of the code it ran on where the paper gives none."""
-    paper = PRESETS["paper"]
-    assert paper == Config()
+    paper = preset("paper")
+    assert paper == preset() == Config()
     assert (paper.hidden, paper.batch_size, paper.replay_size) == ((64, 64), 64, 1_000_000)
     assert (paper.actor_learning_rate, paper.critic_learning_rate) == (1e-4, 1e-3)
     assert (paper.discount, paper.tau, paper.critic_l2) == (0.99, 0.01, 1e-2)
@@ -122,7 +242,7 @@ def test_the_paper_is_the_default():
     assert (paper.steps, paper.final_episodes) == (2_000_000, 100)
 
 
-def test_presets_are_those_the_command_line_names():
-    from mapg_jax.cli.main import Preset
+def test_presets_are_those_of_their_type():
+    from mapg_jax.training.config import Preset
 
     assert tuple(PRESETS) == typing.get_args(Preset)

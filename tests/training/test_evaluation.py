@@ -38,7 +38,7 @@ def agent_and_state():
 def slow_play(agent, state, key, select):
     """One episode after the other, one state at a time; the same draws as `play`."""
     start_key, head_key = jax.random.split(key)
-    look = jax.jit(agent.proposals_and_values)
+    look = jax.jit(agent.proposals)
     step, reset = jax.jit(ENV.step), jax.jit(ENV.reset)
     returns, lengths, spreads, gaps, means = [], [], [], [], []
     for episode, start in enumerate(jax.random.split(start_key, EPISODES)):

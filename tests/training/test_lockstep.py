@@ -2,22 +2,22 @@
 
 import dataclasses
 import logging
-import shutil
 
 import jax
 import numpy as np
 import oracles
 import pytest
-from mapg_jax.runs.runner import Run
 
-from mapg_jax.runs import runner
-from mapg_jax.runs.checkpoints import Checkpoints
+from mapg_jax.algorithms import registry
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.member import DivergedError
+from mapg_jax.runs.memory import prepare
 from mapg_jax.runs.metrics import read_metrics
 from mapg_jax.runs.policy import load_policy
+from mapg_jax.runs.run import Run
+from mapg_jax.runs.train import begin
 from mapg_jax.training import lockstep
-from mapg_jax.training.config import Config
+from mapg_jax.training.config import Config, fields
 from mapg_jax.training.trainer import make_trainer
 
 CELLS = [
@@ -32,11 +32,7 @@ CLOSE = 1e-4
 
 def lockstep_run(cells, path) -> Run:
     folders = [RunFolder.create(path / str(k), cell) for k, cell in enumerate(cells)]
-    return Run(runner.prepare(*cells), folders)
-
-
-def state_of(folder: RunFolder):
-    return Checkpoints(folder.checkpoints).load(make_trainer(folder.config).shapes)[0]
+    return Run(prepare(*cells), folders)
 
 
 def numbers(x):
@@ -89,8 +85,10 @@ def test_each_is_the_run_alone(whole, k, tmp_path):
     """Heads, ends of episodes, keys and counters to the last bit, floats up to rounding."""
     folders, _ = whole
     config = dataclasses.replace(CELLS[k], checkpoint_seconds=300.0)
-    alone = runner.train(config, tmp_path / "alone")
-    assert_close(state_of(folders[k]), state_of(alone))
+    run = begin(config, tmp_path / "alone")
+    run.go()
+    alone = run.folder
+    assert_close(oracles.newest_state(folders[k]), oracles.newest_state(alone))
     rows = zip(read_metrics(folders[k].metrics), read_metrics(alone.metrics), strict=True)
     for one, other in rows:
         for name, value in other.items():
@@ -110,19 +108,13 @@ def test_an_initial_state_is_that_of_the_run_alone_to_the_last_bit():
 def test_resuming_equals_not_stopping(whole, tmp_path):
     """From the checkpoints of step 200, all leaves and all numbers to the last bit."""
     folders, _ = whole
-    copies = []
-    for folder in folders:
-        shutil.copytree(folder.path, tmp_path / folder.path.name)
-        copies.append(RunFolder.open(tmp_path / folder.path.name))
-        for checkpoint in copies[-1].checkpoints.iterdir():
-            if int(checkpoint.name) > 200:
-                shutil.rmtree(checkpoint)
-    run = Run(runner.prepare(*CELLS), copies)
+    copies = [oracles.copy_run(folder, tmp_path / folder.path.name, upto=200) for folder in folders]
+    run = Run(prepare(*CELLS), copies)
     run.restore()
     assert run.env_steps == 200
     run.go()
     for copy, folder in zip(copies, folders, strict=True):
-        oracles.assert_equal(state_of(copy), state_of(folder))
+        oracles.assert_equal(oracles.newest_state(copy), oracles.newest_state(folder))
         assert [row["q_mean"] for row in read_metrics(copy.metrics)] == [
             row["q_mean"] for row in read_metrics(folder.metrics)
         ]
@@ -139,7 +131,9 @@ def test_a_run_that_diverges_does_not_stop_the_others(whole, tmp_path):
     assert "no longer finite at step 16" in str(failures[2])
     assert not read_metrics(run.members[2].folder.metrics)
     for k in (0, 1, 3, 4, 5):
-        oracles.assert_equal(state_of(run.members[k].folder), state_of(folders[k]))
+        oracles.assert_equal(
+            oracles.newest_state(run.members[k].folder), oracles.newest_state(folders[k])
+        )
 
 
 def test_it_ends_when_none_is_left(tmp_path):
@@ -148,27 +142,51 @@ def test_it_ends_when_none_is_left(tmp_path):
         lockstep_run(cells, tmp_path).go()
 
 
-def test_what_is_traced_may_differ_and_nothing_else():
-    for field in dataclasses.fields(Config):
-        one, other = Config(), changed(field.name)
-        differ = lockstep.program_key(one) != lockstep.program_key(other)
-        assert differ == (field.name not in lockstep.TRACED), field.name
+@pytest.mark.parametrize("algorithm", registry.names())
+def test_what_is_traced_may_differ_and_nothing_else(algorithm):
+    config = Config(algorithm=algorithm)
+    for name in fields(type(config)).keys() - {"algorithm"}:
+        differ = lockstep.program_key(config) != lockstep.program_key(changed(config, name))
+        assert differ == (name not in lockstep.traced_fields(config)), name
+
+
+def test_what_is_traced_is_the_seed_and_what_an_update_reads():
+    """Fields of each algorithm; M is one of MAPG's alone."""
+    both = {"seed", "discount", "actor_learning_rate", "critic_learning_rate"}
+    own = {
+        "mapg": {"heads", "tau", "critic_l2", "noise_scale", "noise_scale_last"},
+        "a3c": {"entropy_weight"},
+    }
+    for algorithm, names in own.items():
+        config = Config(algorithm=algorithm)
+        assert lockstep.traced_fields(config) & fields(type(config)).keys() == both | names
+
+
+@pytest.mark.parametrize("changes", [{"batch_size": 32}, {"noise": "none"}])
+def test_other_programs_are_refused(changes):
     with pytest.raises(ValueError, match="traced numbers alone"):
-        lockstep.Lockstep([Config(), dataclasses.replace(Config(), batch_size=32)])
+        lockstep.Lockstep([Config(), Config(**changes)])
 
 
-def changed(name: str) -> Config:
-    """The default configuration with another value of one field."""
+def test_other_algorithms_are_refused():
+    with pytest.raises(ValueError, match="traced numbers alone"):
+        lockstep.Lockstep([Config(heads=1), Config(algorithm="a3c")])
+
+
+def changed(config: Config, name: str) -> Config:
+    """The configuration with another value of one field."""
     others = {
-        "env": "hopper", "algorithm": "a3c", "env_options": ("g=9.81",), "engine": "jax",
+        "env": "hopper", "env_options": ("g=9.81",), "engine": "jax",
         "gradient": "all", "target": "sampled", "truncation": "terminal", "noise": "none",
-        "hidden": (8, 8), "time_limit": 7, "max_gradient_norm": 1.0, "noise_scale_last": 0.3,
+        "hidden": (8, 8), "time_limit": 7, "noise_scale_last": 0.3,
     }  # fmt: skip
-    value = getattr(Config(), name)
+    value = getattr(config, name)
     if name in others:
         value = others[name]
+    elif value is None:
+        value = 1.0
     elif isinstance(value, bool):
         value = not value
     else:
         value = value + 1 if isinstance(value, int) else value / 2
-    return dataclasses.replace(Config(), **{name: value})
+    return dataclasses.replace(config, **{name: value})

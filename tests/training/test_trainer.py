@@ -10,12 +10,12 @@ import numpy as np
 import oracles
 import pytest
 from jax import export
-from mapg_jax.training.loop import run_keys, state_bytes
 
 import envs
 from mapg_jax.algorithms import heads
-from mapg_jax.training.config import PRESETS, Config
-from mapg_jax.training.trainer import Trainer, make_trainer
+from mapg_jax.training.agent import Agent
+from mapg_jax.training.config import Config, preset
+from mapg_jax.training.trainer import Trainer, make_trainer, run_keys, tree_bytes
 
 TIME_LIMIT = 5
 LIGHT = dataclasses.replace(oracles.TINY, hidden=(4, 4), layer_norm=False, normalize=False)
@@ -82,11 +82,11 @@ def test_actions_are_the_drawn_heads_proposals():
     trainer = untrained()
     rows = oracles.stored(run(trainer, 40))
     agent = trainer.jitted_init(0).agent
-    proposals = trainer.agent.proposals(agent, jnp.asarray(rows.observation))
-    expected = np.asarray(proposals)[np.arange(len(rows.head)), rows.head]
+    proposals, _ = trainer.agent.proposals(agent, jnp.asarray(rows.observation))
+    expected = np.asarray(proposals)[np.arange(len(rows.extra)), rows.extra]
     # A batch of 4 and one of 160 may round differently, and proposals are near 1e-3.
     np.testing.assert_allclose(rows.action, expected, atol=1e-6)
-    assert set(rows.head) == {0, 1, 2}
+    assert set(rows.extra) == {0, 1, 2}
 
 
 def test_noise_is_added_before_the_clip_and_grows_along_the_ladder():
@@ -109,8 +109,8 @@ def test_noise_restarts_with_each_episode():
     ends = starts = 0
     for _ in range(40):
         ended = np.asarray(state.env.done) == 1
-        assert not np.asarray(state.noise)[ended].any()
-        assert np.asarray(state.noise)[~ended].all()
+        assert not np.asarray(state.explorer)[ended].any()
+        assert np.asarray(state.explorer)[~ended].all()
         ends, starts = ends + ended.sum(), starts + (~ended).sum()
         state = trainer.jitted_run(state, 1)
     assert ends > 20
@@ -199,6 +199,41 @@ def test_before_learning_starts_nothing_is_learned():
     assert run(trainer, 4).agent.learner.updates == 2
 
 
+# ----- divergence
+
+
+class Poisoned(Agent):
+    """At its third update the metric number `hyper.heads`, from 1, is `hyper.discount`; else 0."""
+
+    def learn(self, state, batch, key):
+        learner = state.learner.replace(updates=state.learner.updates + 1)
+        value = jnp.where(learner.updates == 3, state.hyper.discount, 0.0)
+        count = len(self.algorithm.Metrics._fields)
+        metrics = (jnp.where(state.hyper.heads == k, value, 0.0) for k in range(1, 1 + count))
+        return state.replace(learner=learner), self.algorithm.Metrics(*metrics)
+
+
+@pytest.mark.parametrize(
+    ("config", "third"),
+    [
+        (LIGHT, 20),  # two updates a turn of 4 steps, the first ones at step 16
+        (Config(algorithm="a3c", environments=4, rollout_steps=2, hidden=(4, 4)), 24),
+    ],
+    ids=["mapg", "a3c"],
+)
+def test_any_metric_that_is_not_finite_is_a_divergence_of_its_step(config, third):
+    trainer = oracles.make_trainer(oracles.OneStep(), 5, config)
+    trainer = dataclasses.replace(trainer, agent=Poisoned(**vars(trainer.agent)))
+    for metric in range(1, 1 + len(trainer.agent.algorithm.Metrics._fields)):
+        for value, expected in {np.nan: third, np.inf: third, -np.inf: third, 3e38: -1}.items():
+            state = trainer.jitted_init(0)
+            hyper = state.agent.hyper.replace(heads=jnp.int32(metric), discount=jnp.float32(value))
+            state = state.replace(agent=state.agent.replace(hyper=hyper))
+            state = trainer.jitted_run(state, 10)
+            assert state.agent.learner.updates > 3
+            assert int(state.diverged_at) == expected
+
+
 # ----- chunks, seeds and padding
 
 
@@ -281,7 +316,7 @@ def test_every_head_finds_the_best_action(gradient):
         for action in (-1.0, 0.0, 1.0):
             value = float(q(trainer, state, (side,), action))
             assert value == pytest.approx(side * action, abs=0.1)
-        proposals = trainer.agent.proposals(state.agent, jnp.array([side]))
+        proposals, _ = trainer.agent.proposals(state.agent, jnp.array([side]))
         np.testing.assert_allclose(proposals, side, atol=0.1)
     assert heads.spread(proposals, jnp.int32(3)) < 0.1
 
@@ -291,13 +326,13 @@ def test_every_head_finds_the_best_action(gradient):
 
 @pytest.mark.parametrize(("env", "limit"), [("hopper", 120e6), ("humanoid", 3e9)])
 def test_a_run_takes_the_memory_it_may(env, limit):
-    trainer = make_trainer(dataclasses.replace(PRESETS["paper"], env=env))
+    trainer = make_trainer(Config(env=env))
     transition = jax.tree.leaves(trainer.shapes.replay.data)
     assert all(leaf.shape[0] == 1_000_000 for leaf in transition)
-    assert 0.5 * limit < state_bytes(trainer) < limit
+    assert 0.5 * limit < trainer.bytes < limit
 
 
-def test_state_bytes_are_those_of_the_state():
+def test_the_bytes_are_those_of_the_state():
     trainer = random_length()
     state = jax.device_get(
         jax.tree.map(
@@ -305,12 +340,12 @@ def test_state_bytes_are_those_of_the_state():
             trainer.jitted_init(0),
         )
     )
-    assert state_bytes(trainer) == sum(x.nbytes for x in jax.tree.leaves(state))
+    assert trainer.bytes == tree_bytes(state) == sum(x.nbytes for x in jax.tree.leaves(state))
 
 
 def test_the_parallel_preset_lowers_for_accelerators():
     """4,096 MJX Hoppers, a whole chunk, without a GPU or a TPU."""
-    config = dataclasses.replace(PRESETS["parallel"], env="hopper")
+    config = preset("parallel", env="hopper")
     trainer = make_trainer(config)
     assert (config.environments, trainer.env.backend) == (4096, "mjx")
     lowered = export.export(trainer.jitted_run, platforms=("cuda", "tpu"))(
