@@ -22,6 +22,13 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 jax.config.update("jax_numpy_rank_promotion", "raise")  # [N] and [N, 1] never make an [N, N]
 
 
+@pytest.fixture
+def their_code():
+    """For tests that trace the code of MJX or Brax, which broadcast as they like."""
+    with jax.numpy_rank_promotion("allow"):
+        yield
+
+
 @pytest.fixture(scope="module")
 def quick_compilation():
     """Processes that a test starts compile quicker and run slower: they hardly run."""

@@ -4,6 +4,7 @@ import os
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import envs
@@ -36,14 +37,15 @@ class Policy:
         self._calls = 0
         self._observation_size = state.normalizer.mean.shape[-1]
 
-        action_high = env.action_high
+        def in_units(action):
+            return action * jnp.broadcast_to(env.action_high, action.shape)
 
         @jax.jit
         def act(state, observation, key):
-            return agent.act(state, observation, key, select) * action_high
+            return in_units(agent.act(state, observation, key, select))
 
         self._act = act
-        self._proposals = jax.jit(lambda state, obs: agent.proposals(state, obs)[0] * action_high)
+        self._proposals = jax.jit(lambda state, obs: in_units(agent.proposals(state, obs)[0]))
 
     def __call__(self, observation: Any, seed: int | None = None) -> np.ndarray:
         """An action a state, [A] or [N, A].

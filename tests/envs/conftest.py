@@ -1,24 +1,11 @@
 """Gymnasium's environments, put where a test wants them, and random states to put them in."""
 
 import gymnasium
-import jax
 import mujoco
 import numpy as np
 import pytest
 
 import envs
-
-
-@pytest.fixture(autouse=True)
-def shapes_agree(request):
-    """A rank that broadcasts unseen is an error, but in MJX's and Brax's own code."""
-    with jax.numpy_rank_promotion("allow" if "their_code" in request.fixturenames else "raise"):
-        yield
-
-
-@pytest.fixture
-def their_code():
-    """For tests that run the code of MJX or Brax."""
 
 
 class GymnasiumTask:
