@@ -47,7 +47,7 @@ def time_arms(plan: Plan) -> None:
     }
     times = []
     with caught_signals() as signals:
-        arms = [Arm(plan, m, seconds) for m in (1, *plan.heads)]
+        arms = [TimedArm(plan, m, seconds) for m in (1, *plan.heads)]
         for r, arm in itertools.product(range(rounds), arms):
             if signals:
                 raise StoppedError(signals[0], "the same command")
@@ -55,7 +55,7 @@ def time_arms(plan: Plan) -> None:
     rows.append(plan.measured / TIMES, times)
 
 
-class Arm:
+class TimedArm:
     """One M: a training state that has begun to learn, and two programs to time."""
 
     def __init__(self, plan: Plan, m: int, seconds: float):

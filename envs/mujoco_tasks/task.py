@@ -64,7 +64,7 @@ class MujocoTask:
             warnings.filterwarnings("ignore", "compiler attribute 'settotalmass' is deprecated")
             return mujoco.MjSpec.from_file(str(path)).compile()
 
-    @property
+    @functools.cached_property
     def dt(self) -> float:
         """Seconds per environment step."""
         return self.model.opt.timestep * self.frame_skip

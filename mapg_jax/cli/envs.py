@@ -6,7 +6,7 @@ from typing import TextIO
 import rich.table
 
 import envs
-from mapg_jax.cli.console import console
+from mapg_jax.cli.console import complain, console
 from mapg_jax.cli.main import parser
 from mapg_jax.training import plugins
 
@@ -25,7 +25,11 @@ def run(arguments: argparse.Namespace, out: TextIO) -> None:
     headers = ("name", "observation", "action", "time limit", "engines", "equals")
     table = rich.table.Table(*(rich.table.Column(h, overflow="fold") for h in headers))
     for name in envs.names():
-        spec, env = envs.spec(name), envs.make(name)
+        try:
+            spec, env = envs.spec(name), envs.make(name)
+        except ValueError as error:  # of somebody else's package
+            complain(str(error), 1)
+            continue
         table.add_row(
             name,
             str(env.observation_size),

@@ -16,7 +16,7 @@ from mapg_jax.runs.signals import StoppedError
 from mapg_jax.sweeps import forecast, grid
 from mapg_jax.sweeps.folder import SweepFolder
 from mapg_jax.sweeps.groups import disk_bytes, group_bytes
-from mapg_jax.sweeps.sweep import Plan, carry_out, make_plan
+from mapg_jax.sweeps.sweep import Schedule, carry_out, make_schedule
 from mapg_jax.training import plugins
 
 EXAMPLE = "Example: mapg sweep --env hopper --heads 1 5 10 20 50 --seeds 5 --out runs/hopper-sweep"
@@ -73,12 +73,12 @@ def parse(flags: list[str]) -> argparse.Namespace:
 def run(arguments: argparse.Namespace, out: TextIO) -> None:
     """Sweeps, or shows what it would do."""
     folder = refuse_politely(lambda: sweep_folder(arguments))
-    plan = refuse_politely(lambda: _plan(folder))
+    schedule = refuse_politely(lambda: _schedule(folder))
     if arguments.dry_run:
-        _show_plan(plan, arguments.measure, out)
+        _show_schedule(schedule, arguments.measure, out)
         return
     refuse_politely(folder.create)
-    _go(folder, plan, out)
+    _go(folder, schedule, out)
 
 
 def go_on(path: pathlib.Path, out: TextIO) -> None:
@@ -88,7 +88,7 @@ def go_on(path: pathlib.Path, out: TextIO) -> None:
       StoppedError: on SIGINT or SIGTERM, once all state is saved.
     """
     folder = refuse_politely(lambda: SweepFolder.open(path))
-    _go(folder, refuse_politely(lambda: _plan(folder)), out)
+    _go(folder, refuse_politely(lambda: _schedule(folder)), out)
 
 
 def sweep_folder(arguments: argparse.Namespace) -> SweepFolder:
@@ -138,18 +138,18 @@ def _grouping(text: str) -> str | int:
         ) from None
 
 
-def _plan(folder: SweepFolder) -> Plan:
-    return make_plan(
+def _schedule(folder: SweepFolder) -> Schedule:
+    return make_schedule(
         folder.runs(), workers=folder.workers, group=folder.group, keep_replay=folder.keep_replay
     )
 
 
-def _go(folder: SweepFolder, plan: Plan, out: TextIO) -> None:
+def _go(folder: SweepFolder, schedule: Schedule, out: TextIO) -> None:
     """Carries it out; prints the scores, and the failures before it exits with 1."""
     refusal = f"another process carries out {folder.path}"
     try:
         with refuse_politely(lambda: lock(folder.path / ".lock", refusal)):
-            failures = refuse_politely(lambda: carry_out(plan))
+            failures = refuse_politely(lambda: carry_out(schedule))
     except StoppedError as stopped:
         raise StoppedError(stopped.number, f"mapg resume {folder.path}") from None
     _print_scores(folder, out)
@@ -173,21 +173,23 @@ def _print_scores(folder: SweepFolder, out: TextIO) -> None:
     console(out).print(table)
 
 
-def _show_plan(plan: Plan, measure: bool, out: TextIO) -> None:
+def _show_schedule(schedule: Schedule, measure: bool, out: TextIO) -> None:
     import rich.table  # slow to import
 
     table = rich.table.Table("group", "run", "steps")
-    for number, group in enumerate(plan.groups, 1):
+    for number, group in enumerate(schedule.groups, 1):
         for job in group:
             table.add_row(str(number), job.path.name, f"{job.config.steps:,}")
     console(out).print(table)
-    memory = plan.workers * max(map(group_bytes, plan.groups))
-    disk = disk_bytes(plan.groups, plan.workers, plan.keep_replay)
-    runs = sum(map(len, plan.groups))
-    print(f"{runs} runs in {len(plan.groups)} groups, {plan.workers} side by side", file=out)
+    memory = schedule.workers * max(map(group_bytes, schedule.groups))
+    disk = disk_bytes(schedule.groups, schedule.workers, schedule.keep_replay)
+    runs = sum(map(len, schedule.groups))
+    print(
+        f"{runs} runs in {len(schedule.groups)} groups, {schedule.workers} side by side", file=out
+    )
     print(f"memory: {memory / 1e9:.1f} GB of training state", file=out)
     print(f"disk:   {disk / 1e9:.1f} GB of checkpoints at most", file=out)
     if measure:
-        seconds = forecast.predict(plan.groups, plan.workers)
+        seconds = forecast.predict(schedule.groups, schedule.workers)
         text = str(datetime.timedelta(seconds=round(seconds)))
         print(f"time:   {text}, from a second of each program on this machine as it is", file=out)

@@ -17,7 +17,7 @@ LEAST_SEEDS = 3  # below, nothing is decided
 PERMUTATIONS = 200_000  # all of them up to ten seeds against ten, which have 184,756
 
 Scores = Sequence[float] | Sequence[int] | np.ndarray
-Verdict = Literal["above", "below", "undecided"]
+Side = Literal["above", "below", "undecided"]
 
 
 class Estimate(NamedTuple):
@@ -41,7 +41,7 @@ class Comparison(NamedTuple):
     improvement: Estimate
     p: float  # of the rank-sum test
     seeds: tuple[int, int]
-    verdict: Verdict  # of the probability of improvement, against ½
+    verdict: Side  # of the probability of improvement, against ½
 
 
 def mean(scores: Scores, level: float = LEVEL) -> Estimate:
@@ -157,7 +157,7 @@ def compare(new: Scores, old: Scores, level: float = LEVEL) -> Comparison:
 
 def verdict(
     estimate: Estimate, null: float, seeds: int, p: float = 0.0, level: float = LEVEL
-) -> Verdict:
+) -> Side:
     """Above or below the null, if the interval excludes it, p is small and the seeds suffice.
 
     Args:

@@ -24,7 +24,7 @@ from mapg_jax.training.config import Config
 POLL_SECONDS = 0.5
 
 
-class Plan(NamedTuple):
+class Schedule(NamedTuple):
     """What a sweep will do."""
 
     groups: list[Group]
@@ -32,13 +32,13 @@ class Plan(NamedTuple):
     keep_replay: bool
 
 
-def make_plan(
+def make_schedule(
     runs: Sequence[tuple[Config, pathlib.Path]],
     *,
     workers: int | None = None,
     group: Grouping = "auto",
     keep_replay: bool = False,
-) -> Plan:
+) -> Schedule:
     """What is missing, in groups, and how many processes will do it.
 
     Args:
@@ -55,16 +55,18 @@ def make_plan(
     waiting = groups(jobs, group)
     count = workers_that_fit(waiting, workers)
     refuse_a_full_disk(waiting, count, keep_replay)
-    return Plan(waiting, count, keep_replay)
+    return Schedule(waiting, count, keep_replay)
 
 
 def carry_out(
-    plan: Plan, on_finished: Callable[[RunFolder], None] | None = None, progress: bool = True
+    schedule: Schedule,
+    on_finished: Callable[[RunFolder], None] | None = None,
+    progress: bool = True,
 ) -> list[str]:
     """Starts what is missing and goes on with what was cut off, in order.
 
     Args:
-      plan: what is missing.
+      schedule: what is missing.
       on_finished: called with the folder of each run that finishes, in this process.
       progress: whether to show it on standard error.
 
@@ -74,8 +76,11 @@ def carry_out(
     Raises:
       StoppedError: on SIGINT or SIGTERM, once all workers have saved their state.
     """
-    pool = _Pool(plan)
-    with caught_signals() as signals, SweepTable(plan.groups, plan.workers, progress) as table:
+    pool = _Pool(schedule)
+    with (
+        caught_signals() as signals,
+        SweepTable(schedule.groups, schedule.workers, progress) as table,
+    ):
         try:
             while pool.busy() and not signals:
                 for worker in pool.start():
@@ -109,19 +114,19 @@ def run_all(
     on_finished: Callable[[RunFolder], None] | None = None,
     progress: bool = True,
 ) -> list[str]:
-    """Carries out the plan of some runs; see `make_plan` and `carry_out`."""
-    plan = make_plan(runs, workers=workers, group=group, keep_replay=keep_replay)
-    return carry_out(plan, on_finished, progress)
+    """Carries out the schedule of some runs; see `make_schedule` and `carry_out`."""
+    schedule = make_schedule(runs, workers=workers, group=group, keep_replay=keep_replay)
+    return carry_out(schedule, on_finished, progress)
 
 
 class _Pool:
     """Groups that wait, and the workers that do them."""
 
-    def __init__(self, plan: Plan):
-        self._waiting = list(plan.groups)
-        self._free = shares(own_cores(), plan.workers)
+    def __init__(self, schedule: Schedule):
+        self._waiting = list(schedule.groups)
+        self._free = shares(own_cores(), schedule.workers)
         self._workers: list[Worker] = []
-        self._keep_replay = plan.keep_replay
+        self._keep_replay = schedule.keep_replay
 
     def busy(self) -> bool:
         return bool(self._waiting or self._workers)
