@@ -1,8 +1,7 @@
 """Layer norm and ReLU (Ba, Kiros and Hinton 2016) whose sums are matrix products.
 
-XLA on a CPU runs matrix products fast and sums over one axis of a matrix slowly, so each sum here
-is a product with ones, in the derivatives of any order too: a broadcast is written as a product
-with ones wherever its transpose, a sum, will be needed.
+XLA on a CPU runs matrix products fast and sums over an axis of a matrix slowly, so sums are
+products with ones here, in gradients too.
 """
 
 import jax
@@ -30,7 +29,7 @@ def _along(x, width):
 
 def _over(x, batch):
     """`x`, [W], over a batch, [B, W]."""
-    return _matmul(jnp.ones((batch, 1), x.dtype), x[None])
+    return _matmul(jnp.ones((batch, 1), x.dtype), x.reshape(1, -1))
 
 
 def _standardized(x):
@@ -51,8 +50,9 @@ def _layer_norm_relu_jvp(primals, tangents):
     batch, width = x.shape
     standard, inverse = _standardized(x)
     y = jax.nn.relu(standard * scale[None] + bias[None])
-    centred = dx - _along(_mean(dx), width)
-    dstandard = inverse * (centred - standard * _along(_mean(standard * dx), width))
+    # Transposed, each mean is a sum by a product, then a broadcast, which costs nothing.
+    mean, slope = (_along(z.sum(-1, keepdims=True) / width, width) for z in (dx, standard * dx))
+    dstandard = inverse * (dx - mean - standard * slope)
     dy = dstandard * scale[None] + standard * _over(dscale, batch) + _over(dbias, batch)
     return y, jnp.where(y > 0, dy, 0.0)
 
