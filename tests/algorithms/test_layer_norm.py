@@ -23,7 +23,7 @@ def flax_layer_norm_relu(x, scale, bias):
     return nn.relu(nn.LayerNorm().apply({"params": {"scale": scale, "bias": bias}}, x))
 
 
-def numbers(seed, shape=(B, W), dtype=np.float64, offset=0.0):
+def numbers(seed, shape=(B, W), dtype: type = np.float64, offset=0.0):
     """x, scale and bias."""
     rng = np.random.default_rng(seed)
     arrays = rng.normal(offset, 1, shape), rng.normal(1, 0.3, W), rng.normal(0, 0.3, W)
