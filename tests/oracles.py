@@ -231,15 +231,15 @@ def with_one_head(actor, heads: int, m: int):
 
 def ddpg_actor(p, s):
     """μ(s), [B, A]."""
-    h = jax.nn.relu(s @ p["W1"] + p["b1"])
-    h = jax.nn.relu(h @ p["W2"] + p["b2"])
-    return jnp.tanh(h @ p["W3"] + p["b3"])
+    h = jax.nn.relu(s @ p["W1"] + p["b1"][None])
+    h = jax.nn.relu(h @ p["W2"] + p["b2"][None])
+    return jnp.tanh(h @ p["W3"] + p["b3"][None])
 
 
 def ddpg_critic(p, s, a):
     """Q(s, a), [B]; the action joins at the second layer."""
-    h = jax.nn.relu(s @ p["W1"] + p["b1"])
-    h = jax.nn.relu(jnp.concatenate([h, a], 1) @ p["W2"] + p["b2"])
+    h = jax.nn.relu(s @ p["W1"] + p["b1"][None])
+    h = jax.nn.relu(jnp.concatenate([h, a], 1) @ p["W2"] + p["b2"][None])
     return h @ p["W3"] + p["b3"]
 
 

@@ -182,7 +182,7 @@ def test_starts_are_drawn_as_gymnasium_draws_them(name, gymnasium_task):
     task, reference = make(name, "native").task, gymnasium_task(name)
     keys = jax.random.split(jax.random.key(7), draws)
     qpos, qvel = jax.vmap(task.start_offset)(keys)
-    ours = np.concatenate([task.model.qpos0 + qpos, qvel], -1)
+    ours = np.concatenate([task.model.qpos0 + np.asarray(qpos), qvel], -1)
     theirs = []
     reference.env.reset(seed=7)
     for _ in range(draws):
