@@ -8,7 +8,7 @@ PYTEST := $(BIN)/python -m pytest
 demo: .venv/ready  ## train MAPG (M = 10) on Pendulum and score it over 100 episodes
 	$(BIN)/mapg train --env pendulum --heads 10 --steps 40000 --evaluate-every 2000
 
-test: .venv/ready  ## the tests, under 8 minutes on 2 cores
+test: .venv/ready  ## the tests, under 12 minutes on 2 cores
 	$(PYTEST) -n 2 --dist loadfile -m "not mjx"
 
 test-mjx: .venv/ready  ## the tests that compile every task for MJX, about 15 minutes on 2 cores
