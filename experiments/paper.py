@@ -12,7 +12,7 @@ from mapg_jax.runs.folder import RunFolder, create_folder, is_blank, this_proces
 from mapg_jax.runs.locking import lock
 from mapg_jax.runs.member import DIVERGED
 from mapg_jax.runs.signals import StoppedError
-from mapg_jax.sweeps.sweep import carry_out, make_plan
+from mapg_jax.sweeps.sweep import carry_out, make_schedule
 from mapg_jax.sweeps.worker import failure_file
 from mapg_jax.training.config import Config
 
@@ -149,7 +149,7 @@ def train(plan: Plan, names: Sequence[Name], workers: int | None) -> list[str]:
         with writing_lock(plan):
             unmeasured.extend(measure(plan, folder))
 
-    sweep = make_plan([(config, plan.folder(config)) for config in waiting], workers=workers)
+    sweep = make_schedule([(config, plan.folder(config)) for config in waiting], workers=workers)
     with training_lock(plan):
         return carry_out(sweep, on_finished=add) + unmeasured
 

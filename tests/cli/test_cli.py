@@ -64,7 +64,7 @@ REFUSALS = [
     ("train --env-options g", "env_options are written name=value, got 'g'"),
     ("train --env-options engine=jax", "the engine is no option of an environment"),
     ("train --env-options name=pendulum", "pendulum has no option 'name'; it has g"),
-    ("train --env driving --env-options track=5", "unknown track '5'"),
+    ("train --env driving --env-options track=five", "unknown track 'five'"),
     ("train --heads 0", "heads must be at least 1, got 0"),
     ("train --batch-size 65 --replay-size 64", "a batch of 65 is larger than the replay of 64"),
     ("train --preset papr", "papr"),
