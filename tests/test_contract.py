@@ -12,6 +12,24 @@ LEARNS = {
         "tau": 0.05, "critic_l2": 0.0, "critic_learning_rate": 1e-2, "actor_learning_rate": 1e-2,
         "noise": "gaussian", "noise_scale": 0.5,
     },
+    "td3": {
+        "hidden": (16, 16), "batch_size": 32, "replay_size": 2_000, "updates_per_step": 1.0,
+        "tau": 0.05, "critic_learning_rate": 1e-2, "actor_learning_rate": 1e-2, "noise_scale": 0.5,
+    },
+    "sac": {
+        "hidden": (16, 16), "batch_size": 32, "replay_size": 2_000, "updates_per_step": 1.0,
+        "tau": 0.05, "critic_learning_rate": 1e-2, "actor_learning_rate": 1e-2,
+        "temperature_learning_rate": 0.05,
+    },
+    "naf": {
+        "hidden": (16, 16), "batch_size": 32, "replay_size": 2_000, "updates_per_step": 1.0,
+        "tau": 0.05, "learning_rate": 1e-2, "noise_scale": 0.5,
+    },
+    "ppo": {
+        "hidden": (16, 16), "environments": 16, "minibatches": 4, "epochs": 4,
+        "critic_learning_rate": 3e-3,
+    },
+    "trpo": {"hidden": (16, 16), "environments": 16, "critic_learning_rate": 3e-3},
     "a3c": {"hidden": (16, 16), "environments": 16, "actor_learning_rate": 3e-3},
 }  # fmt: skip
 """By algorithm, the options by which it learns tiny tasks in some hundred turns."""

@@ -58,9 +58,7 @@ def foreign(folder: pathlib.Path, name: str) -> pathlib.Path:
     return package
 
 
-def test_a_sweep_runs_from_a_folder_with_packages_of_our_names(
-    installed, tmp_path, quick_compilation
-):
+def test_a_sweep_runs_from_a_folder_with_packages_of_our_names(installed, tmp_path):
     foreign(tmp_path, "envs")
     foreign(tmp_path, "experiments")
     done = run([installed / "mapg", *SWEEP.split()], tmp_path)

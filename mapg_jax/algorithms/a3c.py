@@ -14,7 +14,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from mapg_jax.algorithms.base import Experience, Explored, Rollout, Transition, traced
-from mapg_jax.algorithms.descent import Params, adam, descend
+from mapg_jax.algorithms.descent import Params, adam, minimize
 from mapg_jax.algorithms.networks import GaussianActor, StateCritic
 from mapg_jax.algorithms.options import Options, option
 
@@ -255,36 +255,31 @@ class A3c:
         returns = n_step_returns(steps.reward, discount, batch.ended, next_value)
         value = self.value(learner.critic, steps.observation)
 
-        (actor_loss, (entropy_mean, action_std)), actor_gradient = jax.value_and_grad(
-            self.actor_loss, has_aux=True
-        )(learner.actor, steps, returns - value, hyper.entropy_weight)
-        critic_loss, critic_gradient = jax.value_and_grad(self.critic_loss)(
-            learner.critic, steps, returns
-        )
-        actor, actor_optimizer = descend(
+        actor = minimize(
+            lambda params: self.actor_loss(params, steps, returns - value, hyper.entropy_weight),
             self.optimizer,
             learner.actor,
-            actor_gradient,
             learner.actor_optimizer,
             hyper.actor_learning_rate,
         )
-        critic, critic_optimizer = descend(
+        critic = minimize(
+            lambda params: (self.critic_loss(params, steps, returns), None),
             self.optimizer,
             learner.critic,
-            critic_gradient,
             learner.critic_optimizer,
             hyper.critic_learning_rate,
         )
         updated = LearnerState(
-            actor, critic, actor_optimizer, critic_optimizer, learner.updates + 1
+            actor.params, critic.params, actor.optimizer, critic.optimizer, learner.updates + 1
         )
+        entropy_mean, action_std = actor.aux
         metrics = UpdateMetrics(
-            critic_loss=critic_loss,
-            actor_loss=actor_loss,
+            critic_loss=critic.loss,
+            actor_loss=actor.loss,
             value_mean=value.mean(),
             entropy=entropy_mean,
             action_std=action_std,
-            critic_gradient_norm=optax.tree.norm(critic_gradient),
-            actor_gradient_norm=optax.tree.norm(actor_gradient),
+            critic_gradient_norm=critic.gradient_norm,
+            actor_gradient_norm=actor.gradient_norm,
         )
         return updated, metrics

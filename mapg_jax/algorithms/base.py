@@ -57,7 +57,8 @@ class Algorithm(Protocol):
     """A dataclass derived from `options.Options`: its own numbers beside what all have."""
     Hyper: ClassVar[Any]
     """A pytree of the traced numbers, `heads` ([] i32) among them, named as in `Options`: runs that
-    differ in these alone can share a compiled program."""
+    differ in these alone can share a compiled program. For as many steps as `hold` ([] i32) says,
+    if it has that number, evaluation gives `act` the same key, so that what was drawn stays."""
     Metrics: ClassVar[Any]
     """A NamedTuple of scalars that an update reports; when one of them is not finite, the run has
     diverged."""
@@ -150,6 +151,7 @@ def traced(hyper: type, options: Options, **numbers: float | None) -> Any:
 
     def number(name: str) -> jax.Array:
         value = numbers.get(name, getattr(options, name))
-        return jnp.asarray(value, jnp.int32 if hints[name] is int else jnp.float32)
+        kinds = typing.get_args(hints[name]) or (hints[name],)
+        return jnp.asarray(value, jnp.float32 if float in kinds else jnp.int32)
 
     return hyper(**{field.name: number(field.name) for field in dataclasses.fields(hyper)})

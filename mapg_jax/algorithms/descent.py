@@ -1,6 +1,7 @@
 """Gradient descent whose learning rate is a traced number, and a penalty of weights."""
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -34,3 +35,39 @@ def kernel_l2(params: Params) -> Float[Array, ""]:
     leaves = jax.tree_util.tree_leaves_with_path(params)
     kernels = [x for path, x in leaves if "kernel" in jax.tree_util.keystr(path)]
     return 0.5 * jax.tree.reduce(jnp.add, [jnp.square(x).sum() for x in kernels])
+
+
+class Descended(NamedTuple):
+    """What a step down the gradient of a loss leaves."""
+
+    params: Params
+    optimizer: optax.OptState
+    loss: Float[Array, ""]
+    aux: Any
+    gradient_norm: Float[Array, ""]
+
+
+def minimize(
+    loss: Callable[[Params], tuple[Float[Array, ""], Any]],
+    optimizer: optax.GradientTransformation,
+    params: Params,
+    state: optax.OptState,
+    learning_rate: Float[Array, ""],
+) -> Descended:
+    """One step of the optimiser down the gradient of a loss.
+
+    Args:
+      loss: of the parameters, and what else is told of it.
+      optimizer: scales gradients; the learning rate is applied after it.
+      params: where the step starts.
+      state: of the optimiser.
+      learning_rate: of the step.
+    """
+    (value, aux), gradient = jax.value_and_grad(loss, has_aux=True)(params)
+    params, state = descend(optimizer, params, gradient, state, learning_rate)
+    return Descended(params, state, value, aux, optax.tree.norm(gradient))
+
+
+def towards(target: Params, params: Params, tau: Float[Array, ""]) -> Params:
+    r"""$\theta' \leftarrow \theta' + \tau (\theta - \theta')$."""
+    return jax.tree.map(lambda x, y: x + tau * (y - x), target, params)

@@ -12,6 +12,8 @@ from jaxtyping import Array, Bool, Float, Int, Integer, PRNGKeyArray
 
 Select = Literal["uniform", "argmax-q", "mean", "first"]
 """How one action is made of the M proposals."""
+Behaviour = Literal["uniform", "argmax-q", "softmax-q"]
+"""How the head that acts in training is chosen."""
 
 
 def in_use(heads: Int[Array, ""], shape: tuple[int, ...]) -> Bool[Array, "... M"]:
@@ -22,6 +24,42 @@ def in_use(heads: Int[Array, ""], shape: tuple[int, ...]) -> Bool[Array, "... M"
 def draw(key: PRNGKeyArray, heads: Int[Array, ""], shape: tuple[int, ...]) -> Int[Array, "..."]:
     """Heads drawn uniformly (MAPG, Algorithm 1); padding does not change the draw."""
     return jax.random.randint(key, shape, 0, heads)
+
+
+def draw_by_value(
+    key: PRNGKeyArray,
+    values: Float[Array, "*B M"],
+    temperature: Float[Array, ""],
+    heads: Int[Array, ""],
+) -> Int[Array, "*B"]:
+    r"""Heads drawn with $p_m \propto \exp(Q_m / (T \sigma))$; padding does not change the draw.
+
+    Args:
+      key: for one uniform number a state, which the sums of $p_m$ divide.
+      values: $Q_m$.
+      temperature: T, in units of $\sigma$, the standard deviation of Q over the heads of a state.
+      heads: M.
+    """
+    mask = in_use(heads, values.shape)
+    centred = values - mean(values, heads)[..., None]
+    sigma = jnp.sqrt(mean(jnp.square(centred), heads))[..., None]
+    # Equal values, as of one head, are all as probable.
+    weight = jax.nn.softmax(centred / (temperature * sigma + 1e-12), where=mask)
+    below = jnp.cumsum(weight, -1) < jax.random.uniform(key, (*values.shape[:-1], 1))
+    return jnp.minimum((below & mask).sum(-1), heads - 1)
+
+
+def normal(key: PRNGKeyArray, shape: tuple[int, ...]) -> Float[Array, "*B M A"]:
+    """Standard normal numbers for M actions a state; padding does not change those of a head."""
+    *batch, heads, action_size = shape
+    keys = jax.vmap(lambda m: jax.random.fold_in(key, m))(jnp.arange(heads))
+    each = jax.vmap(lambda key: jax.random.normal(key, (*batch, action_size)))(keys)
+    return jnp.moveaxis(each, 0, -2)
+
+
+def best(values: Float[Array, "*B M"], heads: Int[Array, ""]) -> Int[Array, "*B"]:
+    """The head in use that the critic values most."""
+    return jnp.where(in_use(heads, values.shape), values, -jnp.inf).argmax(-1)
 
 
 def take(proposals: Float[Array, "*B M A"], head: Integer[Array, "*B"]) -> Float[Array, "*B A"]:
@@ -55,6 +93,19 @@ def q_gap(values: Float[Array, "*B M"], heads: Int[Array, ""]) -> Float[Array, "
     return highest - jnp.where(mask, values, jnp.inf).min(-1)
 
 
+def distance(proposals: Float[Array, "*B M A"], heads: Int[Array, ""]) -> Float[Array, "*B"]:
+    r"""Mean distance between two heads, over the largest there can be.
+
+    $\frac{1}{M (M-1)} \sum_{i \ne j} \|\rho_i - \rho_j\| / (2 \sqrt{A})$; 0 where M is 1.
+    """
+    difference = proposals[..., :, None, :] - proposals[..., None, :, :]
+    each = jnp.linalg.norm(difference, axis=-1)
+    mask = in_use(heads, proposals.shape[:-1])
+    pairs = mask[..., :, None] & mask[..., None, :]
+    total = jnp.where(pairs, each, 0.0).sum((-1, -2))
+    return total / jnp.maximum(heads * (heads - 1), 1) / (2 * proposals.shape[-1] ** 0.5)
+
+
 def choose(
     select: Select,
     key: PRNGKeyArray,
@@ -77,8 +128,7 @@ def choose(
     if select == "uniform":
         return take(proposals, draw(key, heads, batch))
     if select == "argmax-q":
-        mask = in_use(heads, values.shape)
-        return take(proposals, jnp.where(mask, values, -jnp.inf).argmax(-1))
+        return take(proposals, best(values, heads))
     if select == "mean":
         return mean(jnp.swapaxes(proposals, -1, -2), heads)
     return take(proposals, jnp.zeros(batch, jnp.int32))

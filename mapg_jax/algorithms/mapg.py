@@ -4,61 +4,32 @@ All functions are pure: what an update changes is the `LearnerState` it returns.
 """
 
 import dataclasses
-from typing import ClassVar, Literal, NamedTuple, cast, get_args
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
-from jaxtyping import Array, Float, Integer, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
-from mapg_jax.algorithms import exploration
-from mapg_jax.algorithms import heads as heads_
-from mapg_jax.algorithms.base import Experience, Explored, Transition, traced
-from mapg_jax.algorithms.descent import Params, adam, descend, kernel_l2
-from mapg_jax.algorithms.exploration import Noise
-from mapg_jax.algorithms.networks import Actor, Critic
-from mapg_jax.algorithms.options import Options, option
-
-GradientRule = Literal["stored", "resampled", "all"]
-"""Which heads an actor update reaches: the one that acted, a fresh one a sample, or all."""
-TargetRule = Literal["mean", "sampled"]
-"""What the target bootstraps from: the mean over the heads (Eq. 6), or one head drawn a sample."""
+from mapg_jax.algorithms.base import Experience, Transition, traced
+from mapg_jax.algorithms.descent import Params, adam, kernel_l2, minimize, towards
+from mapg_jax.algorithms.deterministic import (
+    Deterministic,
+    DeterministicOptions,
+    make_networks,
+    numbers,
+)
+from mapg_jax.algorithms.options import option
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class MapgOptions(Options):
+class MapgOptions(DeterministicOptions):
     """The numbers of MAPG; the defaults are those of the code the paper ran on."""
 
     actor_learning_rate: float = option(1e-4, "Of Adam, for the actor.", above=0)
     critic_learning_rate: float = option(1e-3, "Of Adam, for the critic.", above=0)
     critic_l2: float = option(1e-2, "λ of the critic's weight penalty λ/2 Σ‖W‖².", at_least=0)
-    tau: float = option(
-        0.01, "τ, the step of the target networks: θ' ← θ' + τ(θ - θ').", above=0, at_most=1
-    )
-    max_gradient_norm: float | None = option(
-        None, "Gradients are scaled down to this norm; none by default.", above=0
-    )
-    gradient: GradientRule = option(
-        "stored",
-        "Heads an actor update reaches: the one that acted, a fresh one per sample, or all.",
-        of_heads=True,
-    )
-    target: TargetRule = option(
-        "mean",
-        "The target bootstraps from the mean over heads (Eq. 6) or from one head per sample.",
-        of_heads=True,
-    )
-    noise: Noise = option(
-        "ou",
-        "Exploration noise added to the action: Ornstein-Uhlenbeck, Gaussian or none.",
-    )
-    noise_scale: float = option(0.2, "σ of the noise, in units of [-1, 1].", at_least=0)
-    noise_scale_last: float | None = option(
-        None,
-        "σ in the last environment; those between take even steps. By default all have one σ.",
-        at_least=0,
-    )
 
 
 class Hyperparameters(struct.PyTreeNode):
@@ -72,6 +43,10 @@ class Hyperparameters(struct.PyTreeNode):
     critic_l2: jax.Array  # []
     noise_scale: jax.Array  # [], σ in the first environment
     noise_scale_last: jax.Array  # [], σ in the last one
+    temperature: jax.Array  # [], in standard deviations of Q over a state's heads
+    hold: jax.Array  # [] i32 steps
+    repulsion_weight: jax.Array  # [], in standard deviations of Q over a batch
+    repulsion_updates: jax.Array  # [] i32, until it is 0; 0 for never
 
 
 class LearnerState(struct.PyTreeNode):
@@ -113,14 +88,13 @@ def td_target(
 
 
 @dataclasses.dataclass(frozen=True)
-class Mapg:
-    """The static part of the algorithm: networks, optimiser and rules."""
+class Mapg(Deterministic):
+    """DDPG with M heads, of which the one that acted is updated."""
 
     Options: ClassVar = MapgOptions
     Hyper: ClassVar = Hyperparameters
     Metrics: ClassVar = UpdateMetrics
     experience: ClassVar[Experience] = "replay"
-    selects: ClassVar[tuple[str, ...]] = get_args(heads_.Select)
     presets: ClassVar = {
         "parallel": {  # the proportions of PQL's DDPG (Li et al. 2023): fast targets, a ladder
             "actor_learning_rate": 5e-4,
@@ -134,34 +108,16 @@ class Mapg:
         }
     }
 
-    actor: Actor
-    critic: Critic
-    optimizer: optax.GradientTransformation
-    """Scales gradients; the learning rates are applied after it."""
-    gradient: GradientRule = "stored"
-    target: TargetRule = "mean"
-    noise: Noise = "ou"
-
     @classmethod
     def make(cls, options: MapgOptions, action_size: int) -> "Mapg":
         """The algorithm with those options, for actions of A numbers."""
-        networks = {"hidden": options.hidden, "layer_norm": options.layer_norm}
-        return cls(
-            actor=Actor(heads=options.heads, action_size=action_size, **networks),
-            critic=Critic(**networks),
-            optimizer=adam(options.max_gradient_norm),
-            gradient=options.gradient,
-            target=options.target,
-            noise=options.noise,
-        )
+        actor, critic = make_networks(options, action_size)
+        return cls(actor, critic, adam(options.max_gradient_norm), options)
 
     @classmethod
     def hyper(cls, options: MapgOptions) -> Hyperparameters:
         """The traced numbers; without a last σ all environments have the first."""
-        last = options.noise_scale_last
-        return traced(
-            Hyperparameters, options, noise_scale_last=options.noise_scale if last is None else last
-        )
+        return traced(Hyperparameters, options, **numbers(options))
 
     @staticmethod
     def label(heads: int) -> str:
@@ -190,72 +146,6 @@ class Mapg:
             updates=jnp.zeros((), jnp.int32),
         )
 
-    def explorer(self, environments: int) -> Float[Array, "N A"]:
-        """The noise, which starts at 0 with every episode."""
-        return jnp.zeros((environments, self.actor.action_size))
-
-    def explore(
-        self,
-        learner: LearnerState,
-        hyper: Hyperparameters,
-        explorer: Float[Array, "N A"],
-        observation: Float[Array, "N D"],
-        key: PRNGKeyArray,
-    ) -> Explored:
-        r"""$a = \mathrm{clip}(\rho_j(s) + x, \pm 1)$, j drawn uniformly, x the noise.
-
-        (MAPG, Algorithm 1.) What is stored beside the action is j, in a byte where M fits one.
-        """
-        head_key, noise_key = jax.random.split(key)
-        n = len(observation)
-        head = heads_.draw(head_key, hyper.heads, (n,))
-        scales = exploration.scales(hyper.noise_scale, hyper.noise_scale_last, n)
-        noise = exploration.advance(self.noise, noise_key, explorer, scales)
-        action = jnp.clip(self.action(learner.actor, observation, head) + noise, -1.0, 1.0)
-        stored = head.astype(jnp.uint8 if self.actor.heads <= 256 else jnp.int32)
-        return Explored(action, stored, noise)
-
-    def actions(self, actor: Params, observation: Float[Array, "*B D"]) -> Float[Array, "*B M A"]:
-        """All M actions, padding included."""
-        return cast(Array, self.actor.apply(actor, observation))
-
-    def action(
-        self, actor: Params, observation: Float[Array, "*B D"], head: Integer[Array, "*B"]
-    ) -> Float[Array, "*B A"]:
-        """The action of one head a state; the gradient reaches that head alone."""
-        return cast(Array, self.actor.apply(actor, observation, head))
-
-    def values(
-        self, critic: Params, observation: Float[Array, "*B D"], actions: Float[Array, "*B K A"]
-    ) -> Float[Array, "*B K"]:
-        """Q of K actions a state."""
-        return cast(Array, self.critic.apply(critic, observation, actions))
-
-    def value(
-        self, critic: Params, observation: Float[Array, "*B D"], action: Float[Array, "*B A"]
-    ) -> Float[Array, "*B"]:
-        """Q of one action a state."""
-        return self.values(critic, observation, action[..., None, :])[..., 0]
-
-    def act(
-        self,
-        learner: LearnerState,
-        hyper: Hyperparameters,
-        observation: Float[Array, "*B D"],
-        key: PRNGKeyArray,
-        select: heads_.Select,
-    ) -> Float[Array, "*B A"]:
-        """One action a state; see `heads.choose`."""
-        proposals, values = self.proposals(learner, observation)
-        return heads_.choose(select, key, proposals, values, hyper.heads)
-
-    def proposals(
-        self, learner: LearnerState, observation: Float[Array, "*B D"]
-    ) -> tuple[Float[Array, "*B M A"], Float[Array, "*B M"]]:
-        """The actions of all heads, and Q of each."""
-        actions = self.actions(learner.actor, observation)
-        return actions, self.values(learner.critic, observation, actions)
-
     def next_value(
         self,
         learner: LearnerState,
@@ -263,14 +153,10 @@ class Mapg:
         observation: Float[Array, "B D"],
         key: PRNGKeyArray,
     ) -> Float[Array, "B"]:
-        r"""$V'(s')$ of the target networks: the mean over heads, or that of one head drawn."""
-        if self.target == "sampled":
-            head = heads_.draw(key, hyper.heads, observation.shape[:1])
-            action = self.action(learner.actor_target, observation, head)
-            return self.value(learner.critic_target, observation, action)
-        actions = self.actions(learner.actor_target, observation)
+        r"""$V'(s')$ of the target networks, by the rule of the target."""
+        actions = self.candidates(learner.actor_target, hyper, observation, key)
         values = self.values(learner.critic_target, observation, actions)
-        return heads_.mean(values, hyper.heads)
+        return self.over_candidates(values, hyper)
 
     def critic_loss(
         self,
@@ -278,37 +164,13 @@ class Mapg:
         batch: Transition,
         target: Float[Array, "B"],
         critic_l2: Float[Array, ""],
-    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    ) -> tuple[Float[Array, ""], Float[Array, "B"]]:
         r"""The critic's loss:
 
-        $\frac{1}{B} \sum_b (y_b - Q(s_b, a_b))^2 + \frac{\lambda}{2} \sum_W \|W\|^2$, and mean Q.
+        $\frac{1}{B} \sum_b (y_b - Q(s_b, a_b))^2 + \frac{\lambda}{2} \sum_W \|W\|^2$, and Q.
         """
         q = self.value(critic, batch.observation, batch.action)
-        loss = jnp.square(target - q).mean() + critic_l2 * kernel_l2(critic)
-        return loss, q.mean()
-
-    def actor_loss(
-        self,
-        actor: Params,
-        critic: Params,
-        batch: Transition,
-        hyper: Hyperparameters,
-        key: PRNGKeyArray,
-    ) -> Float[Array, ""]:
-        r"""$-\frac{1}{B} \sum_b Q(s_b, \rho_{j_b}(s_b))$ (MAPG, Algorithm 1).
-
-        $j_b$ is the head that acted (`stored`) or a fresh one (`resampled`); `all` takes the mean
-        over the heads instead, the full gradient of Eq. 6's objective.
-        """
-        if self.gradient == "all":
-            actions = self.actions(actor, batch.observation)
-            values = self.values(critic, batch.observation, actions)
-            return -heads_.mean(values, hyper.heads).mean()
-        head = batch.extra
-        if self.gradient == "resampled":
-            head = heads_.draw(key, hyper.heads, head.shape)
-        action = self.action(actor, batch.observation, head)
-        return -self.value(critic, batch.observation, action).mean()
+        return jnp.square(target - q).mean() + critic_l2 * kernel_l2(critic), q
 
     def update(
         self, learner: LearnerState, hyper: Hyperparameters, batch: Transition, key: PRNGKeyArray
@@ -326,45 +188,38 @@ class Mapg:
         next_value = self.next_value(learner, hyper, batch.next_observation, target_key)
         target = td_target(batch.reward, discount, next_value)
 
-        (critic_loss, q_mean), critic_gradient = jax.value_and_grad(self.critic_loss, has_aux=True)(
-            learner.critic, batch, target, hyper.critic_l2
-        )
-        critic, critic_optimizer = descend(
+        critic = minimize(
+            lambda params: self.critic_loss(params, batch, target, hyper.critic_l2),
             self.optimizer,
             learner.critic,
-            critic_gradient,
             learner.critic_optimizer,
             hyper.critic_learning_rate,
         )
-        actor_loss, actor_gradient = jax.value_and_grad(self.actor_loss)(
-            learner.actor, critic, batch, hyper, head_key
-        )
-        actor, actor_optimizer = descend(
+        strength = self.strength(learner, hyper, critic.aux)
+        actor = minimize(
+            lambda params: (
+                self.actor_loss(params, critic.params, batch, hyper, strength, head_key),
+                None,
+            ),
             self.optimizer,
             learner.actor,
-            actor_gradient,
             learner.actor_optimizer,
             hyper.actor_learning_rate,
         )
         updated = LearnerState(
-            actor=actor,
-            critic=critic,
-            actor_target=_towards(learner.actor_target, actor, hyper.tau),
-            critic_target=_towards(learner.critic_target, critic, hyper.tau),
-            actor_optimizer=actor_optimizer,
-            critic_optimizer=critic_optimizer,
+            actor=actor.params,
+            critic=critic.params,
+            actor_target=towards(learner.actor_target, actor.params, hyper.tau),
+            critic_target=towards(learner.critic_target, critic.params, hyper.tau),
+            actor_optimizer=actor.optimizer,
+            critic_optimizer=critic.optimizer,
             updates=learner.updates + 1,
         )
         metrics = UpdateMetrics(
-            critic_loss=critic_loss,
-            actor_loss=actor_loss,
-            q_mean=q_mean,
-            critic_gradient_norm=optax.tree.norm(critic_gradient),
-            actor_gradient_norm=optax.tree.norm(actor_gradient),
+            critic_loss=critic.loss,
+            actor_loss=actor.loss,
+            q_mean=critic.aux.mean(),
+            critic_gradient_norm=critic.gradient_norm,
+            actor_gradient_norm=actor.gradient_norm,
         )
         return updated, metrics
-
-
-def _towards(target: Params, params: Params, tau: Float[Array, ""]) -> Params:
-    r"""$\theta' \leftarrow \theta' + \tau (\theta - \theta')$."""
-    return jax.tree.map(lambda x, y: x + tau * (y - x), target, params)

@@ -1,4 +1,4 @@
-"""MAPG's actor with M heads and its critic, and A3C's Gaussian actor and critic of states.
+"""Actors with M heads, deterministic and Gaussian; A3C's actor; critics of actions and states.
 
 Two hidden layers with ReLU each (MAPG, section 4.1); layer norm before each ReLU, as in the code
 the paper ran on, can be turned off. Last layers start at U(±3e-3) (Lillicrap et al. 2016).
@@ -14,11 +14,18 @@ from mapg_jax.algorithms.layer_norm import LayerNorm
 
 LAST_LAYER_SCALE = 3e-3
 VARIANCE_FLOOR = 1e-4  # of A3C's Gaussian: σ of 0.01 in units of [-1, 1], so that 1 / σ² is bounded
+LOG_STD = (-5.0, 2.0)  # bounds of SAC's log σ, before the tanh
 _hidden_init = nn.initializers.glorot_uniform()  # as in the code the paper ran on
 
 
-def _last_layer_uniform(key, shape, dtype=jnp.float32):
-    return jax.random.uniform(key, shape, dtype, -LAST_LAYER_SCALE, LAST_LAYER_SCALE)
+def _uniform(scale):
+    def init(key, shape, dtype=jnp.float32):
+        return jax.random.uniform(key, shape, dtype, -scale, scale)
+
+    return init
+
+
+_last_layer_uniform = _uniform(LAST_LAYER_SCALE)
 
 
 def _joint_init(fan_in):
@@ -31,15 +38,19 @@ def _joint_init(fan_in):
     return init
 
 
-def _per_head_uniform(heads):
-    """U(±3e-3) head by head, so that head m starts the same whatever the number of heads."""
+def _per_head_uniform(heads, scale, first=None):
+    """U(±scale) head by head, so that head m starts the same whatever the number of heads.
+
+    Head 0 may start within ± `first` instead.
+    """
 
     def init(key, shape, dtype=jnp.float32):
         rows, columns = shape
 
         def one_head(m):
             head_key = jax.random.fold_in(key, m)
-            return _last_layer_uniform(head_key, (rows, columns // heads), dtype)
+            bound = scale if first is None else jnp.where(m == 0, first, scale)
+            return _uniform(bound)(head_key, (rows, columns // heads), dtype)
 
         return jnp.moveaxis(jax.vmap(one_head)(jnp.arange(heads)), 0, 1).reshape(shape)
 
@@ -67,6 +78,15 @@ def _last_layer(width):
     return nn.Dense(width, kernel_init=_last_layer_uniform, bias_init=_last_layer_uniform)
 
 
+def _of_heads(module, name, x, size, bias_init=None):
+    """A last layer for all heads, one matrix product: [*B, W] x [W, M * size] as [*B, M, size]."""
+    columns = module.heads * size
+    kernel_init = _per_head_uniform(module.heads, LAST_LAYER_SCALE)
+    kernel = module.param(f"{name}kernel", kernel_init, (x.shape[-1], columns))
+    bias = module.param(f"{name}bias", bias_init or kernel_init, (1, columns))
+    return _plus(x @ kernel, bias[0]).reshape(*x.shape[:-1], module.heads, size)
+
+
 def _plus(x, bias):
     return x + jnp.expand_dims(bias, range(x.ndim - 1))
 
@@ -78,6 +98,8 @@ class Actor(nn.Module):
     action_size: int
     hidden: tuple[int, ...]
     layer_norm: bool
+    spread: float = LAST_LAYER_SCALE
+    """Of the heads' first biases."""
 
     @nn.compact
     def __call__(
@@ -85,11 +107,7 @@ class Actor(nn.Module):
     ) -> Float[Array, "*B {self.heads} {self.action_size}"] | Float[Array, "*B {self.action_size}"]:
         """All M proposals, or that of one head a state; its gradient reaches that head alone."""
         x = _trunk(observation, self.hidden, self.layer_norm)
-        # One matrix product for all heads, their outputs side by side: [B, W] x [W, M * A].
-        init = _per_head_uniform(self.heads)
-        kernel = self.param("kernel", init, (x.shape[-1], self.heads * self.action_size))
-        bias = self.param("bias", init, (1, self.heads * self.action_size))
-        x = _plus(x @ kernel, bias[0]).reshape(*x.shape[:-1], self.heads, self.action_size)
+        x = _of_heads(self, "", x, self.action_size, _per_head_uniform(self.heads, self.spread))
         return jnp.tanh(x if head is None else take(x, head))
 
 
@@ -140,6 +158,76 @@ class GaussianActor(nn.Module):
         x = _trunk(observation, self.hidden, self.layer_norm)
         mean = jnp.tanh(_last_layer(self.action_size)(x))
         return mean, nn.softplus(_last_layer(1)(x))[..., 0] + VARIANCE_FLOOR
+
+
+class GaussianHeads(nn.Module):
+    r"""M diagonal Gaussians: means, and $\log \sigma$ of each dimension, before any squashing.
+
+    $\log \sigma$ lies within `LOG_STD` by a tanh, as in CleanRL's SAC; or it is `free`, one number
+    a head and dimension whatever the state, which starts at 0 (Schulman et al. 2015).
+    """
+
+    heads: int
+    action_size: int
+    hidden: tuple[int, ...]
+    layer_norm: bool
+    spread: float = LAST_LAYER_SCALE
+    """Of the first biases of the means."""
+    free: bool = False
+
+    @nn.compact
+    def __call__(
+        self, observation: Float[Array, "*B D"]
+    ) -> tuple[
+        Float[Array, "*B {self.heads} {self.action_size}"],
+        Float[Array, "*B {self.heads} {self.action_size}"],
+    ]:
+        x = _trunk(observation, self.hidden, self.layer_norm)
+        mean = _of_heads(
+            self, "mean_", x, self.action_size, _per_head_uniform(self.heads, self.spread)
+        )
+        if self.free:
+            zeros = nn.initializers.zeros
+            log_std = self.param("log_std", zeros, (self.heads, self.action_size))
+            log_std = jnp.expand_dims(log_std, range(mean.ndim - 2))
+            return mean, jnp.broadcast_to(log_std, mean.shape)
+        low, high = LOG_STD
+        share = 0.5 * (1 + jnp.tanh(_of_heads(self, "log_std_", x, self.action_size)))
+        return mean, low + (high - low) * share
+
+
+class Peaks(nn.Module):
+    """M quadratic peaks of Q: v, the peaks in [-1, 1]^A, L of each, and heights β.
+
+    All start equally high; L is lower triangular with an exponential diagonal, as in NAF.
+    """
+
+    heads: int
+    action_size: int
+    hidden: tuple[int, ...]
+    layer_norm: bool
+    spread: float
+    """Of the first biases of all peaks but one."""
+
+    @nn.compact
+    def __call__(
+        self, observation: Float[Array, "*B D"]
+    ) -> tuple[
+        Float[Array, "*B"],
+        Float[Array, "*B {self.heads} {self.action_size}"],
+        Float[Array, "*B {self.heads} {self.action_size} {self.action_size}"],
+        Float[Array, "*B {self.heads}"],
+    ]:
+        x = _trunk(observation, self.hidden, self.layer_norm)
+        level = _last_layer(1)(x)[..., 0]
+        bias_init = _per_head_uniform(self.heads, self.spread, first=LAST_LAYER_SCALE)
+        peaks = jnp.tanh(_of_heads(self, "peaks_", x, self.action_size, bias_init))
+        square = _of_heads(self, "cholesky_", x, self.action_size**2)
+        square = square.reshape(*peaks.shape, self.action_size)
+        eye = jnp.expand_dims(jnp.eye(self.action_size), range(square.ndim - 2))
+        zeros = nn.initializers.zeros
+        height = nn.Dense(self.heads, name="height", kernel_init=zeros, bias_init=zeros)(x)
+        return level, peaks, jnp.tril(square, -1) + eye * jnp.exp(square), height
 
 
 class StateCritic(nn.Module):

@@ -86,7 +86,9 @@ def _check(field: dataclasses.Field, hint: Any, value: Any) -> None:
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"{name} must be finite, got {value}")
     bounds = field.metadata.get("bounds", {})
-    if value is None or all(_WITHIN[words](value, bound) for words, bound in bounds.items()):
+    if value is None or isinstance(value, str):
+        return
+    if all(_WITHIN[words](value, bound) for words, bound in bounds.items()):
         return
     if set(bounds) == {"at least", "below"}:
         raise ValueError(

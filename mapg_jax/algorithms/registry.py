@@ -7,6 +7,11 @@ from typing import Any
 from mapg_jax.algorithms.a3c import A3c
 from mapg_jax.algorithms.base import Algorithm
 from mapg_jax.algorithms.mapg import Mapg
+from mapg_jax.algorithms.naf import Naf
+from mapg_jax.algorithms.ppo import Ppo
+from mapg_jax.algorithms.sac import Sac
+from mapg_jax.algorithms.td3 import Td3
+from mapg_jax.algorithms.trpo import Trpo
 
 GROUP = "mapg_jax.algorithms"
 """Of the entry points by which a package offers algorithms: a name, and the class."""
@@ -14,6 +19,11 @@ GROUP = "mapg_jax.algorithms"
 _ALGORITHMS: dict[str, type[Algorithm]] = {
     "mapg": Mapg,
     "a3c": A3c,
+    "td3": Td3,
+    "sac": Sac,
+    "naf": Naf,
+    "ppo": Ppo,
+    "trpo": Trpo,
 }
 # What is read of it has an inferred type, type[Algorithm]: tests check what is annotated, and the
 # class of a protocol with attributes cannot be checked.

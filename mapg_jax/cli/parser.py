@@ -82,8 +82,9 @@ def _one(hint: Any) -> Callable[[str], Any]:
     """A text as a value of that type."""
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin in (typing.Union, types.UnionType):
-        (kind,) = (x for x in arguments if x is not types.NoneType)
-        return lambda text: None if text.lower() == "none" else _one(kind)(text)
+        words, kinds = _words(arguments)
+        (kind,) = kinds
+        return lambda text: words[text.lower()] if text.lower() in words else _one(kind)(text)
     if origin is tuple:
         return lambda text: tuple(map(_one(arguments[0]), _items(text)))
     if origin is Literal:
@@ -91,6 +92,18 @@ def _one(hint: Any) -> Callable[[str], Any]:
     if hint is bool:
         return lambda text: _member(text.capitalize(), ("True", "False")) == "True"
     return lambda text: _number(text, hint)
+
+
+def _words(kinds: tuple) -> tuple[dict[str, Any], list[Any]]:
+    """Of a union: what is written as a word, none among it; and the types that are left."""
+    words: dict[str, Any] = {}
+    for kind in kinds:
+        if typing.get_origin(kind) is Literal:
+            words |= {word: word for word in typing.get_args(kind)}
+    if types.NoneType in kinds:
+        words["none"] = None
+    others = (x for x in kinds if x is not types.NoneType and typing.get_origin(x) is not Literal)
+    return words, list(others)
 
 
 def _items(text: str) -> list[str]:

@@ -26,7 +26,9 @@ def record(policy: Policy, time_limit: int, seed: int = 0, select: str = "unifor
 
     def step(carry, t):
         state, alive = carry
-        action = agent.act(policy.state, state.obs, jax.random.fold_in(act_key, t), select)
+        action = agent.act(
+            policy.state, state.obs, agent.key_of_step(policy.state, act_key, t), select
+        )
         following = env.step(state, action)
         return (following, alive & (following.done < 0.5)), (state.pipeline_state, alive)
 

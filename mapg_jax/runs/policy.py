@@ -52,13 +52,14 @@ class Policy:
 
         Args:
           observation: [D] or [N, D].
-          seed: makes the draw repeatable; without it the policy's own stream goes on.
+          seed: makes the draw repeatable; without it the policy's own stream goes on, and a head
+            that was trained to be held acts for as many calls.
 
         Raises:
           ValueError: if the last axis is not D, a number is not finite, or the seed is negative.
         """
         if seed is None:
-            key = jax.random.fold_in(self._key, self._calls)
+            key = self.agent.key_of_step(self.state, self._key, self._calls)
             self._calls += 1
         else:
             key = jax.random.key(_checked_seed(seed))

@@ -3,6 +3,7 @@
 import dataclasses
 from typing import Any
 
+import jax
 from flax import struct
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -59,6 +60,11 @@ class Agent:
         """One action a state for raw observations, in one of the ways of `algorithm.selects`."""
         observation = self.normalize(state, observation)
         return self.algorithm.act(state.learner, state.hyper, observation, key, select)
+
+    def key_of_step(self, state: AgentState, key: PRNGKeyArray, step: Any) -> PRNGKeyArray:
+        """The key of `act` at a step of an episode: one for as long as a choice is held."""
+        held = step if not hasattr(state.hyper, "hold") else step // state.hyper.hold
+        return jax.random.fold_in(key, held)
 
     def explore(
         self, state: AgentState, explorer: Any, observation: Float[Array, "N D"], key: PRNGKeyArray

@@ -78,7 +78,7 @@ def play(
     def step(now: _Play) -> _Play:
         observation = jnp.asarray(now.env.obs)
         proposals, values = agent.proposals(state, observation)
-        action = agent.act(state, observation, jax.random.fold_in(act_key, now.steps), select)
+        action = agent.act(state, observation, agent.key_of_step(state, act_key, now.steps), select)
         after = jax.vmap(env.step)(now.env, action)
         return _Play(
             steps=now.steps + 1,

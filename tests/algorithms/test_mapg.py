@@ -15,6 +15,7 @@ import pytest
 
 from mapg_jax.algorithms.base import Transition
 from mapg_jax.algorithms.descent import kernel_l2
+from mapg_jax.algorithms.deterministic import Strength
 from mapg_jax.algorithms.mapg import Hyperparameters, LearnerState, Mapg, td_target
 from mapg_jax.training.agent import hyperparameters, make_agent
 from mapg_jax.training.config import Config
@@ -31,7 +32,12 @@ CONFIG = dataclasses.replace(
 )
 
 
-RULES = [("stored", "mean"), ("resampled", "sampled"), ("all", "mean")]
+RULES = [("stored", "mean"), ("resampled", "sampled"), ("all", "max")]
+PLAIN_RULES = [{"gradient": gradient, "target": target} for gradient, target in RULES]
+APART = [
+    {"repulsion": "stein", "floor": 0.5, "repulsion_updates": 10},
+    {"repulsion": "inverse", "gradient": "all"},
+]
 
 
 @pytest.fixture(autouse=True)
@@ -73,7 +79,8 @@ def setup(
         critic_optimizer=algorithm.optimizer.init(state.critic),
     )
     hyper = hyperparameters(config)
-    names = set(vars(hyper)) - {"heads", "noise_scale", "noise_scale_last"}  # no update asks for σ
+    floats = {name for name, x in vars(hyper).items() if x.dtype == jnp.float32}
+    names = floats - {"noise_scale", "noise_scale_last"}  # no update asks for σ
     numbers = {name: jnp.float64(getattr(config, name)) for name in names}
     return algorithm, state, hyper.replace(**numbers)
 
@@ -99,7 +106,8 @@ def actor_gradient(config: Config, batch, key=None, actor=None):
     _, state, hyper = setup(config)
     actor = state.actor if actor is None else actor
     key = jax.random.key(0) if key is None else key
-    return compiled_actor_gradient(config)(actor, state.critic, batch, hyper, key)
+    none = Strength(jnp.zeros(()), jnp.zeros(()))
+    return compiled_actor_gradient(config)(actor, state.critic, batch, hyper, none, key)
 
 
 @functools.cache
@@ -154,6 +162,14 @@ def test_the_sampled_target_is_one_head_drawn_uniformly():
     assert np.abs(share - 1 / M).max() < 6 * np.sqrt(1 / M * (1 - 1 / M) / (500 * B))
 
 
+def test_the_largest_target_is_the_best_heads():
+    algorithm, state, hyper = setup(dataclasses.replace(CONFIG, target="max"))
+    observation = make_batch(range(M)).next_observation
+    value = jax.jit(algorithm.next_value)(state, hyper, observation, jax.random.key(0))
+    expected = slow_next_values(algorithm, state, observation).max(1)
+    np.testing.assert_allclose(value, expected, **CLOSE)
+
+
 @pytest.mark.parametrize("target", ["mean", "sampled"])
 def test_terminal_transitions_do_not_bootstrap(target):
     """What comes after a terminal step changes nothing at all; after another step it does."""
@@ -175,12 +191,12 @@ def test_the_critics_loss_is_squared_error_and_penalty():
     algorithm, state, hyper = setup(CONFIG)
     batch = make_batch(range(M))
     target = jnp.linspace(-1, 1, B)
-    loss, q_mean = algorithm.critic_loss(state.critic, batch, target, hyper.critic_l2)
+    loss, found = algorithm.critic_loss(state.critic, batch, target, hyper.critic_l2)
     q = np.asarray(algorithm.values(state.critic, batch.observation, batch.action[:, None]))[:, 0]
     error = np.mean((np.asarray(target) - q) ** 2)
     without_penalty = float(loss - hyper.critic_l2 * kernel_l2(state.critic))
     assert without_penalty == pytest.approx(error, rel=1e-10)
-    assert float(q_mean) == pytest.approx(np.mean(q), rel=1e-10)
+    np.testing.assert_allclose(found, q, **CLOSE)
 
 
 def test_the_penalty_counts_kernels_only():
@@ -295,11 +311,11 @@ def test_one_head_is_ddpg(gradient, target):
     assert_close(ours[1](state.critic_target), oracle.critic_target)
 
 
-@pytest.mark.parametrize(("gradient", "target"), RULES)
-def test_padding_heads_learns_the_same(gradient, target):
+@pytest.mark.parametrize("rules", [*PLAIN_RULES, *APART])
+def test_padding_heads_learns_the_same(rules):
     """M = 4 padded to 9: five updates agree, and heads past M keep their first values."""
     padded = 9
-    config = dataclasses.replace(CONFIG, gradient=gradient, target=target)
+    config = dataclasses.replace(CONFIG, **rules)
     states = []
     for size in (None, padded):
         _, state, hyper = setup(config, size)
@@ -321,6 +337,21 @@ def test_padding_heads_learns_the_same(gradient, target):
     first_kernel, first_bias = oracles.last_layer(first.actor, padded)
     np.testing.assert_array_equal(kernel[:, M:], first_kernel[:, M:])
     np.testing.assert_array_equal(bias[M:], first_bias[M:])
+
+
+@pytest.mark.parametrize("repulsion", ["stein", "inverse"])
+def test_a_repulsion_without_weight_is_none(repulsion):
+    """To the last bit, as is one whose weight has fallen to 0."""
+    batch, key = make_batch(range(M)), jax.random.key(0)
+    _, state, hyper = setup(CONFIG)
+    state = state.replace(updates=jnp.int32(7))
+    plain, _ = compiled_update(CONFIG)(state, hyper, batch, key)
+    repelled = compiled_update(dataclasses.replace(CONFIG, repulsion=repulsion))
+    for off in ({"repulsion_weight": jnp.float64(0)}, {"repulsion_updates": jnp.int32(7)}):
+        after, _ = repelled(state, hyper.replace(**off), batch, key)
+        oracles.assert_equal(after, plain)
+    after, _ = repelled(state, hyper, batch, key)
+    assert not np.array_equal(after.actor["params"]["bias"], plain.actor["params"]["bias"])
 
 
 def test_fresh_targets_are_the_networks_and_then_follow():

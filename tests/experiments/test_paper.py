@@ -35,7 +35,7 @@ def test_steps_that_no_whole_number_of_turns_makes_are_refused(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory, quick_compilation):
+def made(tmp_path_factory):
     """A plan whose runs are trained: those of all experiments, but of Table 2 Pendulum alone."""
     plan = small(tmp_path_factory.mktemp("paper"))
     assert paper.make(plan, NAMES, workers=2).failures == []

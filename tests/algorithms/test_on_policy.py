@@ -1,0 +1,220 @@
+"""Advantages against their double sum; PPO and TRPO against slow versions of their own."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import oracles
+import pytest
+from jax.flatten_util import ravel_pytree
+
+from mapg_jax.algorithms import normalization
+from mapg_jax.algorithms.base import Rollout, Transition
+from mapg_jax.algorithms.on_policy import Choice, generalized_advantages
+from mapg_jax.algorithms.ppo import Ppo, PpoOptions
+from mapg_jax.algorithms.trpo import Trpo, TrpoOptions
+from mapg_jax.training.config import Config
+
+T, N, D, A = 6, 4, 3, 2
+
+
+def slow_advantages(reward, discount, ended, value, next_value, trace):
+    """Σ_k (Π γλ) δ_{t+k}, each product written out, up to the end of the episode."""
+    found = np.zeros((T, N))
+    for t in range(T):
+        for i in range(N):
+            factor = 1.0
+            for k in range(t, T):
+                delta = reward[k, i] + discount[k, i] * next_value[k, i] - value[k, i]
+                found[t, i] += factor * delta
+                factor *= discount[k, i] * trace
+                if ended[k, i]:
+                    break
+    return found
+
+
+@pytest.mark.parametrize("trace", [0.0, 0.9, 1.0])
+def test_generalised_advantages_are_the_double_sum(trace):
+    rng = np.random.default_rng(0)
+    reward, value, next_value = rng.normal(size=(3, T, N))
+    ended = rng.random((T, N)) < 0.3
+    discount = np.where(ended & (rng.random((T, N)) < 0.5), 0.0, 0.9)
+    given = reward, discount, ended, value, next_value
+    found = generalized_advantages(*map(jnp.asarray, given), jnp.float32(trace))
+    np.testing.assert_allclose(found, slow_advantages(*given, trace), rtol=1e-4, atol=1e-5)
+
+
+def rollout(algorithm, learner, hyper, heads) -> Rollout:
+    """Steps whose choices are this policy's own."""
+    rng = np.random.default_rng(1)
+    seen = jnp.asarray(rng.normal(size=(T, N, D)), jnp.float32)
+    explored = algorithm.explore(learner, hyper, (), seen.reshape(-1, D), jax.random.key(2))
+    choice = jax.tree.map(lambda x: x.reshape(T, N, *x.shape[1:]), explored.extra)
+    ended = jnp.asarray(rng.random((T, N)) < 0.2)
+    reward = jnp.asarray(rng.normal(size=(T, N)), jnp.float32)
+    following = jnp.asarray(rng.normal(size=(T, N, D)), jnp.float32)
+    action = jnp.clip(choice.sample, -1, 1)
+    steps = Transition(seen, choice, action, reward, ended, following)
+    return Rollout(steps, ended)
+
+
+PPO = PpoOptions(heads=1, hidden=(8, 8), rollout_steps=T, minibatches=3, epochs=2, head_spread=0.5)
+TRPO = TrpoOptions(heads=3, hidden=(8, 8), rollout_steps=T, critic_steps=3, head_spread=0.5)
+
+
+@functools.cache
+def setup(kind, options):
+    """The algorithm, a learner that has seen returns, its numbers and a rollout of its own."""
+    algorithm, hyper = kind.make(options, A), kind.hyper(options)
+    learner = jax.jit(algorithm.init, static_argnums=1)(jax.random.key(0), D)
+    seen = normalization.update(learner.returns, jnp.asarray([[1.0], [-1.0], [3.0]]))
+    learner = learner.replace(returns=seen)
+    return algorithm, learner, hyper, rollout(algorithm, learner, hyper, options.heads)
+
+
+def test_one_head_is_ppo():
+    """One update against PPO written plainly: epochs, minibatches, clip, two Adams."""
+    algorithm, learner, hyper, given = setup(Ppo, PPO)
+    key = jax.random.key(5)
+    after, _ = jax.jit(algorithm.update)(learner, hyper, given, key)
+
+    steps = given.steps
+    value = algorithm.value(learner.critic, learner.returns, steps.observation)
+    following = algorithm.value(learner.critic, learner.returns, steps.next_observation)
+    discount = np.where(steps.terminal, 0.0, PPO.discount)
+    advantage = slow_advantages(
+        *(np.asarray(x) for x in (steps.reward, discount, given.ended, value, following)), PPO.trace
+    )
+    flat = jax.tree.map(lambda x: np.asarray(x).reshape(-1, *x.shape[2:]), steps)
+    returns = (advantage + np.asarray(value)).ravel()
+    every = np.concatenate([[1.0, -1.0, 3.0], returns])
+    scale = every.mean(), every.std()
+
+    def normal(params, s, a):
+        mean, log_std = algorithm.actor.apply(params, s)
+        z = (a - mean[:, 0]) / jnp.exp(log_std[:, 0])
+        return (-0.5 * z**2 - log_std[:, 0] - 0.5 * jnp.log(2 * jnp.pi)).sum(1)
+
+    def clipped(gradient):
+        norm = jnp.sqrt(sum((g**2).sum() for g in jax.tree.leaves(gradient)))
+        return jax.tree.map(lambda g: g * jnp.minimum(1, 0.5 / norm), gradient)
+
+    def step(adam, params, gradient):
+        leaves, tree = jax.tree.flatten(params)
+        moved = adam(dict(enumerate(leaves)), dict(enumerate(jax.tree.leaves(gradient))))
+        return jax.tree.unflatten(tree, [moved[i] for i in range(len(leaves))])
+
+    @jax.jit
+    def gradients(actor, critic, part):
+        s, a, r = flat.observation[part], flat.extra.sample[part], jnp.asarray(returns)[part]
+        old = normal(learner.actor, s, a)
+        gain = jnp.asarray(advantage.ravel())[part]
+        gain = (gain - gain.mean()) / (gain.std() + 1e-8)
+
+        def actor_loss(params):
+            w = jnp.exp(normal(params, s, a) - old)
+            return -jnp.minimum(w * gain, jnp.clip(w, 0.8, 1.2) * gain).mean()
+
+        def critic_loss(params):
+            target = (r - scale[0]) / scale[1]
+            return ((algorithm.critic.apply(params, s) - target) ** 2).mean()
+
+        return clipped(jax.grad(actor_loss)(actor)), clipped(jax.grad(critic_loss)(critic))
+
+    flat = jax.tree.map(jnp.asarray, flat)
+    actor, critic = learner.actor, learner.critic
+    actor_adam, critic_adam = oracles.Adam(3e-4), oracles.Adam(3e-4)
+    for epoch in jax.random.split(key, PPO.epochs):
+        for part in jax.random.permutation(epoch, T * N).reshape(PPO.minibatches, -1):
+            for_actor, for_critic = gradients(actor, critic, part)
+            actor = step(actor_adam, actor, for_actor)
+            critic = step(critic_adam, critic, for_critic)
+    close = functools.partial(np.testing.assert_allclose, rtol=1e-3, atol=2e-6)
+    jax.tree.map(close, after.actor, actor)
+    jax.tree.map(close, after.critic, critic)
+
+
+@pytest.mark.parametrize("gradient", ["stored", "marginal"])
+def test_only_the_head_that_acted_is_updated_by_its_own_ratio(gradient):
+    """Head 0 acts alone: `stored` leaves the last layers of the others, `marginal` does not."""
+    options = dataclasses.replace(PPO, heads=3, gradient=gradient)
+    algorithm, learner, hyper, given = setup(Ppo, options)
+    head = jnp.zeros_like(given.steps.extra.head)
+    choice = Choice(head, given.steps.extra.sample)
+    given = given._replace(steps=given.steps._replace(extra=choice))
+    after, _ = jax.jit(algorithm.update)(learner, hyper, given, jax.random.key(0))
+    change = after.actor["params"]["mean_bias"] - learner.actor["params"]["mean_bias"]
+    moved = np.abs(np.asarray(change).reshape(3, A)).max(1) > 0
+    np.testing.assert_array_equal(moved, [True, gradient == "marginal", gradient == "marginal"])
+
+
+def test_trpos_direction_is_the_dense_solve():
+    """(F + damping) x = g with F the Hessian written out; scaled to the trust region."""
+    algorithm, learner, hyper, given = setup(Trpo, dataclasses.replace(TRPO, conjugate_steps=300))
+    learner, batch = algorithm.prepare(learner, hyper, given)
+    flat, unravel = ravel_pytree(learner.actor)
+    gradient = jax.grad(algorithm.surrogate)(learner.actor, batch, hyper)
+    found, _ = ravel_pytree(algorithm.direction(learner.actor, gradient, hyper, batch))
+
+    def kl(x):
+        return algorithm.kl(learner.actor, unravel(x), hyper, batch)
+
+    fisher = np.asarray(jax.jit(jax.hessian(kl))(flat), np.float64)
+    fisher += 0.1 * np.eye(len(flat))
+    x = np.linalg.solve(fisher, np.asarray(ravel_pytree(gradient)[0], np.float64))
+    expected = np.sqrt(2 * 0.01 / (x @ fisher @ x)) * x
+    np.testing.assert_allclose(found, expected, rtol=2e-2, atol=1e-3 * np.abs(expected).max())
+
+
+def test_a_trpo_step_gains_within_the_trust_region():
+    algorithm, learner, hyper, given = setup(Trpo, TRPO)
+    after, metrics = jax.jit(algorithm.update)(learner, hyper, given, jax.random.key(0))
+    _, batch = algorithm.prepare(learner, hyper, given)
+    assert metrics.gain > 0
+    assert 0 < metrics.kl <= 0.01
+    gain = algorithm.surrogate(after.actor, batch, hyper) - algorithm.surrogate(
+        learner.actor, batch, hyper
+    )
+    assert float(gain) == pytest.approx(float(metrics.gain), rel=1e-3)
+
+
+def test_the_heads_divergence_is_the_closed_form_and_bounds_the_mixtures():
+    """KL of Gaussians by SciPy-free algebra; the mixture's by a sum over 200,000 samples."""
+    algorithm, learner, hyper, given = setup(Trpo, TRPO)
+    other = jax.tree.map(lambda x: x + 0.1, learner.actor)
+    _, batch = algorithm.prepare(learner, hyper, given)
+    old, new = (algorithm.gaussians(p, batch.observation) for p in (learner.actor, other))
+    each = 0.0
+    for (m0, l0), (m1, l1) in [
+        ((old[0][:, m], old[1][:, m]), (new[0][:, m], new[1][:, m])) for m in range(3)
+    ]:
+        v0, v1 = np.exp(2 * np.asarray(l0)), np.exp(2 * np.asarray(l1))
+        gap = np.square(np.asarray(m1 - m0))
+        each += np.mean(0.5 * (np.log(v1 / v0) + (v0 + gap) / v1 - 1).sum(1)) / 3
+    found = float(algorithm.kl(learner.actor, other, hyper, batch))
+    assert found == pytest.approx(each, rel=1e-4)
+
+    many = jnp.repeat(batch.observation, 4000, axis=0)
+    choice = jax.jit(algorithm.explore)(learner, hyper, (), many, jax.random.key(3)).extra
+    sampled = batch._replace(observation=many, choice=choice)
+    mixture = float(algorithm.mixture_kl(learner.actor, other, hyper, sampled))
+    assert 0 < mixture < found
+
+
+def test_no_step_is_taken_where_none_is_good():
+    """A direction downhill: the search gives up, and the actor stays to the last bit."""
+    algorithm, learner, hyper, given = setup(Trpo, TRPO)
+    _, batch = algorithm.prepare(learner, hyper, given)
+    downhill = jax.tree.map(
+        lambda g: -0.1 * g, jax.grad(algorithm.surrogate)(learner.actor, batch, hyper)
+    )
+    step = jax.jit(algorithm.search)(learner.actor, downhill, hyper, batch)
+    assert step.share == 0
+    oracles.assert_equal(step.actor, learner.actor)
+
+
+def test_a_rollout_that_its_minibatches_do_not_divide_is_refused():
+    with pytest.raises(ValueError, match=r"640 steps.*cannot be cut into 48 minibatches"):
+        Config(algorithm="ppo", environments=16, rollout_steps=40, minibatches=48)
