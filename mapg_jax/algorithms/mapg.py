@@ -256,6 +256,15 @@ class Mapg:
         actions = self.actions(learner.actor, observation)
         return actions, self.values(learner.critic, observation, actions)
 
+    def q_values(
+        self,
+        learner: LearnerState,
+        observation: Float[Array, "*B D"],
+        actions: Float[Array, "*B K A"],
+    ) -> Float[Array, "*B K"]:
+        """Q of any K actions a state."""
+        return self.values(learner.critic, observation, actions)
+
     def next_value(
         self,
         learner: LearnerState,
