@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import ClassVar, cast
+from typing import Any, ClassVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -56,7 +56,7 @@ class Bandit(Env):
     def bumps(self, action: Float[Array, "A"]) -> Float[Array, "K"]:
         """What each bump would pay."""
         squares = jnp.square(action[None] - self.optima).sum(-1)
-        return self.heights - squares / (2 * self.widths**2)
+        return -squares / (2 * self.widths**2) + self.heights
 
     def payoff(self, action: Float[Array, "A"]) -> Float[Array, ""]:
         """r(a)."""
@@ -70,7 +70,7 @@ class Bandit(Env):
 
     def reset(self, rng: jax.Array) -> State:
         place, zero = jnp.full(self.action_size, 0.5), jnp.zeros(())
-        return State(cast(State, place), place, zero, zero, {"optimum": zero}, {})
+        return State(cast(Any, place), place, zero, zero, {"optimum": zero}, {})
 
     def step(self, state: State, action: Action) -> State:
         action = self.clipped(action)

@@ -16,7 +16,7 @@ from envs.recording import Episode, Player
 
 PLAYER = Path(__file__).with_name("player.html")
 ACROSS = 121  # points of the critic's picture, each way
-ARROWS = 8  # states whose proposals are drawn, each way
+ARROWS = 8  # states whose proposals are drawn, each way; in a maze, one in every cell
 
 
 class Plane(NamedTuple):
@@ -40,7 +40,7 @@ class Plane(NamedTuple):
     def inside(self, places: Float[np.ndarray, "*N 2"]) -> Bool[np.ndarray, "*N"]:
         """Whether places are free of walls."""
         off = np.abs(places[..., None, :] - self.walls).max(-1)
-        return (off >= self.wall_size / 2).all(-1)
+        return (off > self.wall_size / 2).all(-1)
 
 
 def draw(plane: Plane, episodes: Sequence[Episode], player: Player, path: Path) -> None:
@@ -92,15 +92,18 @@ def _draw_paths(figure, axes, plane: Plane, episodes: Sequence[Episode], player:
     axes.plot(*ends.T, "o", color="white", markeredgecolor="black", markersize=5)
     for number, goal in enumerate(plane.goals, 1):
         axes.add_patch(Circle(goal, plane.radius, fill=False, color="tab:red", linewidth=2))
-        axes.annotate(str(number), goal, color="tab:red", ha="center", va="center", weight="bold")
+        style = {"color": "tab:red", "weight": "bold", "textcoords": "offset points"}
+        axes.annotate(str(number), goal, (8, 8), **style)
     axes.set(title=f"{plane.title}: {len(episodes)} episodes", xlabel=f"x{plane.unit}")
     axes.set(ylabel=f"y{plane.unit}", xlim=plane.extent[:2], ylim=plane.extent[2:])
 
 
 def _draw_proposals(axes, plane: Plane, player: Player) -> None:
     """What every head would do, at a few places."""
-    apart = (plane.high - plane.low) / ARROWS
-    places = grid(plane.low + apart / 2, plane.high - apart / 2, ARROWS).reshape(-1, 2)
+    wide = (plane.high - plane.low).max()
+    across = round(wide / plane.wall_size) if len(plane.walls) else ARROWS
+    apart = (plane.high - plane.low) / across
+    places = grid(plane.low + apart / 2, plane.high - apart / 2, across).reshape(-1, 2)
     places = places[plane.inside(places)]
     actions, _ = player.proposals(places)
     heads = actions.shape[1]

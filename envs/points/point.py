@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -60,7 +60,7 @@ class Point(Env):
     def reset_to(self, place) -> State:
         """Start at a place [2]."""
         place, zero = jnp.asarray(place, jnp.float32), jnp.zeros(())
-        return State(cast(State, place), place, zero, zero, {"goal": zero}, {})
+        return State(cast(Any, place), place, zero, zero, {"goal": zero}, {})
 
     def step(self, state: State, action: Action) -> State:
         action = self.clipped(action)

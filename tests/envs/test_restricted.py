@@ -58,7 +58,6 @@ def test_the_valid_actions_are_the_published_ones(name):
     [
         ("inverted_pendulum", "native"),
         ("hopper", "native"),
-        ("reacher", "native"),
         pytest.param("inverted_pendulum", "mjx", marks=pytest.mark.mjx),
     ],
 )
