@@ -14,12 +14,15 @@ from envs.registry import EnvSpec, make, names, register, spec
 if TYPE_CHECKING:
     from envs.base import Env, State, with_episodes
     from envs.mujoco_tasks.task import MujocoTask
+    from envs.recording import Episode, Player
     from envs.scored import ScoredMetric
 
 __all__ = [
     "Env",
     "EnvSpec",
+    "Episode",
     "MujocoTask",
+    "Player",
     "ScoredMetric",
     "State",
     "make",
@@ -36,6 +39,8 @@ _LATER = {
     "State": "envs.base",
     "with_episodes": "envs.base",
     "MujocoTask": "envs.mujoco_tasks.task",
+    "Episode": "envs.recording",
+    "Player": "envs.recording",
     "ScoredMetric": "envs.scored",
 }
 

@@ -9,7 +9,7 @@ import abc
 import contextlib
 import functools
 import pathlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -22,6 +22,7 @@ with contextlib.redirect_stdout(None):  # importing brax.envs prints what its ba
     import brax.envs.base
     from brax.envs.base import State, Wrapper
 
+from envs.recording import Episode, Player
 from envs.scored import ScoredMetric
 
 __all__ = ["Action", "Env", "Episodes", "State", "Wrapper", "where_ended", "with_episodes"]
@@ -37,17 +38,22 @@ class Env(brax.envs.base.Env):
     """[A] float32, what an action of 1 is in Gymnasium's units."""
     scored_metrics: tuple[ScoredMetric, ...] = ()
     """What belongs to a score, beside the return."""
+    drawn_episodes: int = 1
+    """How many episodes a drawing shows."""
 
     @property
     @abc.abstractmethod
     def observation_size(self) -> int:
         """D."""
 
-    def render(self, states: Any, folder: pathlib.Path) -> list[pathlib.Path]:
-        """Draws an episode into files of `folder`, which it returns; not every environment can.
+    def render(
+        self, episodes: Sequence[Episode], player: Player, folder: pathlib.Path
+    ) -> list[pathlib.Path]:
+        """Draws episodes into files of `folder`, which it returns; not every environment can.
 
         Args:
-          states: its physics states, `State.pipeline_state` with leaves [T, ...].
+          episodes: `drawn_episodes` of them.
+          player: the agent that played them.
           folder: exists already.
 
         Raises:
@@ -130,10 +136,17 @@ class Episodes(Wrapper, Env):
         super().__init__(env)
         self.env: Env = env
         self.time_limit = time_limit
+        # What `Env` has a default for, the wrapper would otherwise not look up in `env`.
+        self.scored_metrics, self.drawn_episodes = env.scored_metrics, env.drawn_episodes
 
     @property
     def observation_size(self) -> int:
         return self.env.observation_size
+
+    def render(
+        self, episodes: Sequence[Episode], player: Player, folder: pathlib.Path
+    ) -> list[pathlib.Path]:
+        return self.env.render(episodes, player, folder)
 
     def reset(self, rng: jax.Array) -> State:
         start_key, key = jax.random.split(rng)

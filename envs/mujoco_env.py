@@ -1,12 +1,14 @@
 """A MuJoCo task on a physics engine, as a `brax.envs.base.Env`."""
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 
 from envs.base import Action, Env, State
 from envs.engines.mjx import MjxEngine
 from envs.engines.native import NativeEngine
+from envs.mujoco_tasks.restriction import scaled
 from envs.mujoco_tasks.task import MujocoTask
 
 ENGINES = {"native": NativeEngine, "mjx": MjxEngine}
@@ -16,11 +18,13 @@ class MujocoEnv(Env):
     """One instance of a task. Actions are float32 in [-1, 1]^A, clipped there first.
 
     The control is `float32(action * action_high)`, in Gymnasium's units; `done` is termination.
+    A restricted task takes an action outside of its balls as 0, and `metrics["valid"]` says so.
     """
 
     def __init__(self, task: MujocoTask, engine: str):
         self.task = task
-        self.action_high = task.action_high
+        self.action_high, self.scored_metrics = task.action_high, task.scored_metrics
+        self._balls = task.balls
         self.engine = ENGINES[engine](task)
         shapes = jax.eval_shape(self.reset, jax.random.key(0))
         self._observation_size = shapes.obs.shape[-1]
@@ -55,14 +59,19 @@ class MujocoEnv(Env):
         return self._first(*self.engine.reset_to(qpos, qvel))
 
     def step(self, state: State, action: Action) -> State:
-        control = self.clipped(action) * self.action_high
+        action, metrics = self.clipped(action), dict(state.metrics)
+        if self._balls:
+            valid = self._balls.hold(jnp, scaled(action))
+            action = jnp.where(valid, action, 0.0)
+            metrics["valid"] = valid.astype(jnp.float32)
+        control = action * self.action_high
         pipeline_state, outcome = self.engine.step(state.pipeline_state, control)
         return state.replace(
             pipeline_state=pipeline_state,
             obs=outcome.observation,
             reward=outcome.reward,
             done=outcome.terminated,
-            metrics={**state.metrics, **outcome.metrics},
+            metrics={**metrics, **outcome.metrics},
         )
 
     def mj_data(self, state: State) -> mujoco.MjData:
@@ -70,11 +79,12 @@ class MujocoEnv(Env):
         return self.engine.mj_data(state.pipeline_state)
 
     def _first(self, pipeline_state, outcome) -> State:
+        own = {"valid": jnp.zeros(())} if self._balls else {}
         return State(
             pipeline_state,
             outcome.observation,
             outcome.reward,
             outcome.terminated,
-            outcome.metrics,
+            {**own, **outcome.metrics},
             {},
         )

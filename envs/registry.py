@@ -228,3 +228,7 @@ _register_task("reacher", "Reacher", time_limit=50)
 _register_task("pusher", "Pusher", time_limit=100)
 _register_task("humanoid_standup", "HumanoidStandup")
 register("driving", "envs.driving.env:Driving", time_limit=10_000)  # 200 s at 50 Hz
+register("two_mode_bandit", "envs.bandits.bandits:TwoModeBandit", time_limit=1)
+register("four_bump_bandit", "envs.bandits.bandits:FourBumpBandit", time_limit=1)
+register("multi_goal", "envs.points.multi_goal:MultiGoal", time_limit=30)
+register("point_maze", "envs.points.point_maze:PointMaze", time_limit=500)

@@ -1,5 +1,6 @@
 """What an environment adds to a score beside the return."""
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -25,3 +26,31 @@ class ScoredMetric(NamedTuple):
     def over(self, values: Sequence[float] | np.ndarray) -> float:
         """The number, from the metric's value at the last step of each episode."""
         return float(self.summary(np.asarray(values)))
+
+
+def reached(metric: str, plural: str, count: int) -> tuple[ScoredMetric, ...]:
+    r"""Which of several good ends the episodes find: how many of them, and how often each.
+
+    $\lvert \{g_e\} \setminus \{0\} \rvert$ and, for each $i$, $\frac{1}{E} \sum_e [g_e = i]$.
+
+    Args:
+      metric: $g_e$, at an episode's last step the number of the end that it is at, from 1 on, or 0.
+      plural: of its name.
+      count: how many ends there are.
+    """
+    found = ScoredMetric(f"{plural}_reached", metric, f"{plural} reached", _distinct)
+    shares = (
+        ScoredMetric(
+            f"{metric}_{i}_share", metric, f"share at {metric} {i}", functools.partial(_share, i)
+        )
+        for i in range(1, count + 1)
+    )
+    return found, *shares
+
+
+def _distinct(ends: np.ndarray) -> int:
+    return len(set(ends.tolist()) - {0})
+
+
+def _share(end: int, ends: np.ndarray) -> np.floating:
+    return np.mean(ends == end)

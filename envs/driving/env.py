@@ -22,6 +22,7 @@ from envs.driving.rewards import REWARDS, Motion, progress_kmh
 from envs.driving.sensors import KMH
 from envs.driving.tracks import Track
 from envs.driving.vehicle import WHEEL_X, WHEEL_Y, Car, at_rest, step_car, wrap
+from envs.recording import Episode, Player
 from envs.scored import ScoredMetric
 
 GRASS_FRICTION, GRASS_ROLLING = 0.4, 0.01
@@ -198,8 +199,9 @@ class Driving(Env):
             metrics={**state.metrics, **_metrics(drive)},
         )
 
-    def render(self, states: Drive, folder: Path) -> list[Path]:
+    def render(self, episodes: Sequence[Episode], player: Player, folder: Path) -> list[Path]:
         """The line on the track as drive.png, and an animation for a browser as drive.html."""
+        states: Drive = episodes[0].states
         track = self.tracks[int(states.track[0])]
         positions = np.stack([states.x, states.y], -1)
         picture, animation = folder / "drive.png", folder / "drive.html"

@@ -17,6 +17,7 @@ class HalfCheetah(MujocoTask):
     end          never
     """
 
+    published_k = 0.25
     xml_file: str = "half_cheetah.xml"
     frame_skip: int = 5
     forward_reward_weight: float = 1.0

@@ -21,6 +21,7 @@ class Hopper(PlanarWalker):
     end          z, pitch or any other state but x outside its healthy range
     """
 
+    published_k = 1.25
     xml_file: str = "hopper.xml"
     frame_skip: int = 4
     healthy_state_range: tuple[float, float] = (-100.0, 100.0)

@@ -18,6 +18,7 @@ class InvertedPendulum(MujocoTask):
     end          the pole leans by more than 0.2 rad, or a state is not finite
     """
 
+    published_k = 3.0
     xml_file: str = "inverted_pendulum.xml"
     frame_skip: int = 2
     reset_noise_scale: float = 0.01

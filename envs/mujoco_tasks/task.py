@@ -13,6 +13,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from envs.mujoco_tasks.restriction import Balls
+from envs.scored import ScoredMetric
+
 Array = Any
 """A NumPy float64 array with leading batch axes (native), or a JAX array of one instance (MJX)."""
 
@@ -36,17 +39,24 @@ class MujocoTask:
     """A task over an array namespace `xp` (NumPy or `jax.numpy`) and a record of physics fields.
 
     Every method indexes from the last axis, so that the same lines serve one instance and a batch.
-    The dataclass fields of a task are the constructor arguments of its Gymnasium counterpart.
+    The dataclass fields of a task are the constructor arguments of its Gymnasium counterpart, and
+    `restricted`.
     As in Gymnasium, all fields but qpos and qvel are what MuJoCo derived last: a substep earlier.
     """
 
     fields: ClassVar[tuple[str, ...]] = ()
     """What is read besides qpos and qvel. cfrc_ext costs a pass over the contacts."""
+    scored_metrics: ClassVar[tuple[ScoredMetric, ...]] = ()
+    """What belongs to a score, beside the return."""
+    published_k: ClassVar[float | None] = None
+    """K of the restricted task in Q3C's table, where it has one."""
 
     xml_file: str = ""
     """One of Gymnasium's model files, or a path that begins with "/", "." or "~"."""
     frame_skip: int = 1
     """Physics steps per environment step."""
+    restricted: bool | float = False
+    """Takes actions within Q3C's balls only, and others as 0: K, or True for the K of its table."""
 
     def __post_init__(self):
         if self.frame_skip < 1:
@@ -78,6 +88,21 @@ class MujocoTask:
                 f"{self.xml_file}: control ranges must be symmetric, got {low}, {high}"
             )
         return high
+
+    @functools.cached_property
+    def balls(self) -> Balls | None:
+        """The actions that a restricted task takes.
+
+        Raises:
+          ValueError: if K is missing, out of range, or leaves no valid action.
+        """
+        k = self.published_k if self.restricted is True else self.restricted
+        if k is None:
+            raise ValueError(
+                f"Q3C's table has no K for {type(self).__name__}: write restricted=K, such as "
+                "restricted=1.0"
+            )
+        return None if k is False else Balls(k, self.model.nu)
 
     def start_offset(self, key: jax.Array) -> tuple[jax.Array, jax.Array]:
         """A draw of (qpos, qvel) minus the model's initial ones, [nq] and [nv] float32."""

@@ -19,6 +19,7 @@ class Walker2d(PlanarWalker):
     end          z or pitch outside its healthy range
     """
 
+    published_k = 0.25
     xml_file: str = "walker2d_v5.xml"
     frame_skip: int = 4
     healthy_z_range: tuple[float, float] = (0.8, 2.0)  # m

@@ -210,6 +210,17 @@ class A3c:
         action = self.gaussian(learner.actor, observation)[0]
         return action[..., None, :], self.value(learner.critic, observation)[..., None]
 
+    def q_values(
+        self,
+        learner: LearnerState,
+        observation: Float[Array, "*B D"],
+        actions: Float[Array, "*B K A"],
+    ) -> Float[Array, "*B K"]:
+        """V of the state, whatever the action."""
+        return jnp.broadcast_to(
+            self.value(learner.critic, observation)[..., None], actions.shape[:-1]
+        )
+
     def value(self, critic: Params, observation: Float[Array, "*B D"]) -> Float[Array, "*B"]:
         """V."""
         return cast(Array, self.critic.apply(critic, observation))

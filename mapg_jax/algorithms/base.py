@@ -127,6 +127,15 @@ class Algorithm(Protocol):
         """The M actions proposed for a state, and the critic's value of each."""
         ...
 
+    def q_values(
+        self,
+        learner: Any,
+        observation: Float[Array, "*B D"],
+        actions: Float[Array, "*B K A"],
+    ) -> Float[Array, "*B K"]:
+        """The critic's values of any K actions a state; V(s) where it values states alone."""
+        ...
+
     def update(self, learner: Any, hyper: Any, batch: Any, key: PRNGKeyArray) -> tuple[Any, Any]:
         """One update.
 

@@ -220,6 +220,15 @@ class Deterministic:
         actions = self.actions(learner.actor, observation)
         return actions, self.values(learner.critic, observation, actions)
 
+    def q_values(
+        self,
+        learner: Any,
+        observation: Float[Array, "*B D"],
+        actions: Float[Array, "*B K A"],
+    ) -> Float[Array, "*B K"]:
+        """Q of any K actions a state."""
+        return self.values(learner.critic, observation, actions)
+
     def actions(self, actor: Params, observation: Float[Array, "*B D"]) -> Float[Array, "*B M A"]:
         """All M actions, padding included."""
         return cast(Array, self.actor.apply(actor, observation))

@@ -210,6 +210,18 @@ class Naf:
         landscape = self.landscape(learner.critic, observation)
         return landscape.peaks, landscape.level[..., None] + landscape.height
 
+    def q_values(
+        self,
+        learner: LearnerState,
+        observation: Float[Array, "*B D"],
+        actions: Float[Array, "*B K A"],
+    ) -> Float[Array, "*B K"]:
+        """Q of any K actions a state, of all peaks."""
+        landscape = self.landscape(learner.critic, observation)
+        heads = jnp.int32(self.critic.heads)
+        each = jax.vmap(lambda action: q_value(landscape, action, heads), in_axes=-2, out_axes=-1)
+        return each(actions)
+
     def critic_loss(
         self,
         critic: Params,

@@ -186,6 +186,16 @@ class OnPolicy:
         value = self.value(learner.critic, learner.returns, observation)[..., None]
         return jnp.clip(mean, -1.0, 1.0), jnp.broadcast_to(value, mean.shape[:-1])
 
+    def q_values(
+        self,
+        learner: LearnerState,
+        observation: Float[Array, "*B D"],
+        actions: Float[Array, "*B K A"],
+    ) -> Float[Array, "*B K"]:
+        """V, whatever the action."""
+        value = self.value(learner.critic, learner.returns, observation)[..., None]
+        return jnp.broadcast_to(value, actions.shape[:-1])
+
     def value(
         self, critic: Params, returns: NormalizerState, observation: Float[Array, "*B D"]
     ) -> Float[Array, "*B"]:

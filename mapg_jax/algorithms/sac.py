@@ -236,7 +236,16 @@ class Sac:
     ) -> tuple[Float[Array, "*B M A"], Float[Array, "*B M"]]:
         """The means of all components after the tanh, and the smaller Q of each."""
         actions = jnp.tanh(self.gaussians(learner.actor, observation)[0])
-        return actions, self.both(learner.critic, observation, actions).min(0)
+        return actions, self.q_values(learner, observation, actions)
+
+    def q_values(
+        self,
+        learner: LearnerState,
+        observation: Float[Array, "*B D"],
+        actions: Float[Array, "*B K A"],
+    ) -> Float[Array, "*B K"]:
+        """The smaller Q of any K actions a state."""
+        return self.both(learner.critic, observation, actions).min(0)
 
     def both(
         self, critic: Params, observation: Float[Array, "*B D"], actions: Float[Array, "*B K A"]

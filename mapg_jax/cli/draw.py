@@ -1,4 +1,4 @@
-"""mapg draw: one episode, drawn by its environment."""
+"""mapg draw: episodes, drawn by their environment."""
 
 import argparse
 import pathlib
@@ -18,7 +18,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
     command.add_argument(
         "--select", default="uniform", help="How one action is made of the M proposals."
     )
-    command.add_argument("--seed", type=int, default=0, help="Of the start and the heads.")
+    command.add_argument("--seed", type=int, default=0, help="Of the starts and the heads.")
     plugins.add_argument(command)
     arguments = command.parse(flags)
     plugins.load(arguments.imports)

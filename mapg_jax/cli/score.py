@@ -6,12 +6,11 @@ from mapg_jax.cli.console import console
 
 
 def print_score(record: dict[str, Any], out: TextIO) -> None:
-    """One line, and the means of what else the environment counts."""
+    """A line, and what else the environment counts."""
     import rich.table  # slow to import
 
-    scored = record.get("metrics", {})
     titles = ("env", "physics", "select", "episodes", "mean", "std", "95 % interval")
-    table = rich.table.Table(*titles, *(f"mean {name}" for name in scored))
+    table = rich.table.Table(*titles)
     low, high = record["ci95"]
     table.add_row(
         record["env"],
@@ -21,6 +20,7 @@ def print_score(record: dict[str, Any], out: TextIO) -> None:
         f"{record['mean']:.1f}",
         f"{record['std']:.1f}",
         f"{low:.1f} to {high:.1f}",
-        *(f"{sum(values) / len(values):.1f}" for values in scored.values()),
     )
     console(out).print(table)
+    for name, number in record.get("scored", {}).items():
+        print(f"{name}: {number:.4g}", file=out)

@@ -82,6 +82,8 @@ def check_shapes(config: Config) -> None:
     proposals, values = jax.eval_shape(algorithm.proposals, learner, seen)
     _same("proposals", proposals, jax.ShapeDtypeStruct((n, config.heads, size), floats))
     _same("values", values, jax.ShapeDtypeStruct((n, config.heads), floats))
+    q_values = jax.eval_shape(algorithm.q_values, learner, seen, proposals)
+    _same("q_values", q_values, values)
     for select in algorithm.selects:
         act = functools.partial(algorithm.act, select=select)
         action = jax.eval_shape(act, learner, hyper, seen, key)

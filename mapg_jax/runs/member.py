@@ -94,6 +94,10 @@ class Member:
             "training_episodes": int(totals.episodes),
             **{k: v / updates for k, v in totals.update_metrics._asdict().items()},
             **{k: float(v) for k, v in played.heads._asdict().items()},
+            **{
+                own.name: own.over(np.asarray(played.metrics[own.metric]))
+                for own in trainer.env.scored_metrics
+            },
             "steps_per_second": turns_per_second * trainer.steps_per_turn,
             "updates_per_second": turns_per_second
             * float(trainer.turn.updates_ratio * trainer.steps_per_turn),

@@ -114,6 +114,7 @@ def _in_jax(folder, policy: Policy, episodes, physics, select, seed):
     }
     if scored:
         extra["metrics"] = scored
+        extra["scored"] = {own.name: own.over(scored[own.metric]) for own in env.scored_metrics}
     return env.backend, np.asarray(played.returns), np.asarray(played.lengths), extra
 
 

@@ -54,6 +54,16 @@ class Agent:
         """The M actions proposed for raw observations, and the critic's value of each."""
         return self.algorithm.proposals(state.learner, self.normalize(state, observation))
 
+    def q_values(
+        self,
+        state: AgentState,
+        observation: Float[Array, "*B D"],
+        actions: Float[Array, "*B K A"],
+    ) -> Float[Array, "*B K"]:
+        """The critic's values of any K actions for raw observations."""
+        observation = self.normalize(state, observation)
+        return self.algorithm.q_values(state.learner, observation, actions)
+
     def act(
         self, state: AgentState, observation: Float[Array, "*B D"], key: PRNGKeyArray, select: str
     ) -> Float[Array, "*B A"]:

@@ -172,10 +172,12 @@ def test_a_drive_is_drawn_from_its_start(mapg, tmp_path, monkeypatch):
     pictures = {path.split(".")[-1]: folder.path.parent / path for path in out.split()}
     assert pictures["png"].read_bytes()[1:4] == b"PNG"
     assert "<html" in pictures["html"].read_text()
-    (states,) = drawn
-    start = config.make_env().reset(jax.random.split(jax.random.key(5))[0]).pipeline_state
-    assert states.x.shape == (20,)
-    assert (states.steps == range(20)).all()
+    ((recorded,),) = drawn
+    states = recorded.states
+    (key,) = jax.random.split(jax.random.split(jax.random.key(5))[0], 1)
+    start = config.make_env().reset(key).pipeline_state
+    assert (states.x.shape, recorded.actions.shape) == ((21,), (20, 3))
+    assert (states.steps == range(21)).all()
     assert (states.x[0], states.y[0]) == (start.x, start.y)
 
 

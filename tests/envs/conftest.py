@@ -43,6 +43,22 @@ def gymnasium_task():
 
 
 @pytest.fixture(scope="session")
+def player():
+    """make(actions [M, A], value): proposes those in every state; value(observations, actions)."""
+
+    def make(actions, value):
+        actions = np.float32(actions)
+
+        def proposals(observations):
+            proposed = np.broadcast_to(actions, (len(observations), *actions.shape))
+            return proposed, value(observations, proposed)
+
+        return envs.Player(proposals, value)
+
+    return make
+
+
+@pytest.fixture(scope="session")
 def random_state():
     """draw(model, rng, scale): qpos and qvel [float64] near the model's initial ones."""
 

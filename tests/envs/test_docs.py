@@ -45,9 +45,10 @@ def test_ones_own_cart(my_envs, tmp_path):
     np.testing.assert_allclose(
         states.obs[-1], [start.obs[0] + 0.05**2 * 210, 1.0], rtol=0, atol=1e-5
     )
-    (scored,) = my_envs.Cart.scored_metrics
+    (scored,) = env.scored_metrics
     assert scored.over(states.metrics[scored.metric]) == np.mean(np.abs(states.obs[:, 0]) < 0.1)
-    (path,) = env.env.render(np.asarray(states.pipeline_state), tmp_path)
+    episode = envs.Episode(np.asarray(states.pipeline_state), states.obs, np.ones((19, 1)))
+    (path,) = env.render([episode], None, tmp_path)  # the wrapper's is that of the environment
     np.testing.assert_allclose(
         np.loadtxt(path, delimiter=",", skiprows=1), states.obs, rtol=1e-6, atol=0
     )

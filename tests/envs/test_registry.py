@@ -82,6 +82,10 @@ def test_names_are_gymnasiums_tasks():
         "pusher",
         "humanoid_standup",
         "driving",
+        "two_mode_bandit",
+        "four_bump_bandit",
+        "multi_goal",
+        "point_maze",
     )
 
 
@@ -116,6 +120,15 @@ def test_auto_takes_the_engine_of_the_device(device, engine, monkeypatch):
         ("pendulum", {"gravity": 1}, r"pendulum has no option 'gravity'; it has g$"),
         ("swimmer", {"healthy_reward": 1}, r"no option 'healthy_reward'; it has xml_file, frame_"),
         ("swimmer", {"frame_skip": 0}, r"frame_skip must be at least 1, got 0"),
+        ("swimmer", {"restricted": True}, r"Q3C's table has no K for Swimmer: write restricted=K"),
+        ("hopper", {"restricted": 0}, r"restricted must be True or K above 0 and finite, got 0"),
+        ("hopper", {"restricted": -1.0}, r"restricted must be True or K above 0 .*, got -1.0"),
+        ("hopper", {"restricted": np.inf}, r"restricted must be True or K above 0 .*, got inf"),
+        ("hopper", {"restricted": 1e-30}, r"restricted=1e-30 leaves no valid action: its balls "),
+        ("hopper", {"restricted": "yes"}, r"option restricted must be bool . float, got 'yes'"),
+        ("point_maze", {"maze": "v9"}, r"unknown maze 'v9'; known are v1, v2$"),
+        ("multi_goal", {"goals": "five"}, r"goals must be 'four' or 'three', got 'five'"),
+        ("multi_goal", {"reward_scale": 0}, r"reward_scale must be above 0 and finite, got 0"),
         ("swimmer", {"xml_file": "squid.xml"}, r"there is no model file .*squid.xml"),
         ("brax:hoper", {}, r"Brax has no environment 'hoper'; it has ant, .*walker2d"),
         (
@@ -283,4 +296,4 @@ def test_actions_of_another_length_are_refused(name):
 
 def test_an_environment_without_a_drawing_says_so(tmp_path):
     with pytest.raises(NotImplementedError, match="Pendulum has no drawing of its episodes"):
-        envs.make("pendulum").render(None, tmp_path)
+        envs.make("pendulum").render([], None, tmp_path)

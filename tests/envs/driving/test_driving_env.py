@@ -55,9 +55,10 @@ def driven():
     return env, roll(env, programs(env)[0](KEY), lambda obs, t: policy(obs), 4500)
 
 
-def test_an_episode_is_drawn(driven, tmp_path):
+def test_an_episode_is_drawn(driven, player, tmp_path):
     env, states = driven
-    picture, animation = env.render(states.pipeline_state, tmp_path)
+    episode = envs.Episode(states.pipeline_state, states.obs, np.zeros((4499, 3)))
+    picture, animation = env.render([episode], player(np.zeros((1, 3)), None), tmp_path)
     assert (picture.name, animation.name) == ("drive.png", "drive.html")
     assert sorted(tmp_path.iterdir()) == [animation, picture]
     assert picture.read_bytes().startswith(b"\x89PNG")

@@ -1,0 +1,1 @@
+"""Tasks of one step whose reward has several optima."""

@@ -1,0 +1,1 @@
+"""A point in a plane that has several goals, or several ways to one."""
