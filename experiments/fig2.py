@@ -12,7 +12,7 @@ from mapg_jax.training.config import Config
 
 STEPS = 100_000
 """The return rises within the first tenth of them: an evaluation every 50,000 would miss it."""
-EVALUATIONS = 100
+EVALUATIONS = 400
 
 
 def runs(plan: Plan) -> list[Config]:
@@ -21,6 +21,7 @@ def runs(plan: Plan) -> list[Config]:
     looks = {
         "evaluate_every": max(1, steps // EVALUATIONS),
         "evaluation_episodes": plan.base.final_episodes,
+        "evaluation_starts": "fixed",
     }
     return plan.over_seeds("pendulum", **MAPG, steps=steps, **looks)
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 from experiments import claims, rows, scores, table2
 from experiments.catalogue import TITLES, Name, experiment, runs
-from experiments.plan import Plan, is_the_papers
+from experiments.plan import FIRST_SEED, Plan, is_the_papers
 from mapg_jax.reports.document import Table
 
 FILE = "README.md"
@@ -21,8 +21,8 @@ def sections(plan: Plan) -> dict[Name, str]:
     """Every experiment, from every seed in the results; the pictures are written."""
     plan.results.mkdir(parents=True, exist_ok=True)
     found: dict[Name, str] = {}
+    shown = with_all_seeds(plan)
     for name, title in TITLES.items():
-        shown = with_all_seeds(plan, name)
         text = experiment(name).section(shown)
         found[name] = f"## {title}\n\n{text}\n\n{provenance(shown, name)}"
     return found
@@ -33,16 +33,14 @@ def write(plan: Plan, sections: Mapping[Name, str]) -> pathlib.Path:
     page = plan.results / FILE
     page.write_text("\n\n".join([HEAD, *sections.values(), diverged(plan)]).rstrip() + "\n")
     if is_the_papers(plan):
-        write_headline(with_all_seeds(plan, "claims"), pathlib.Path("README.md"))
+        write_headline(with_all_seeds(plan), pathlib.Path("README.md"))
     return page
 
 
-def with_all_seeds(plan: Plan, name: Name) -> Plan:
-    """As many seeds as an experiment's results have: a comparison uses every one there is."""
-    most = max([0, *(result.seed + 1 for result in scores.read_csv(scores.path(plan)))])
-    widest = plan._replace(seeds=max(plan.seeds, most))
-    found = scores.of(widest, runs(widest, [name]))
-    return plan._replace(seeds=max([plan.seeds, *(result.seed + 1 for result in found)]))
+def with_all_seeds(plan: Plan) -> Plan:
+    """A comparison uses every seed there is, whatever was trained last."""
+    most = max((result.seed - FIRST_SEED + 1 for result in scores.read(plan)), default=0)
+    return plan if plan.seeds is None else plan._replace(seeds=max(plan.seeds, most))
 
 
 def write_headline(plan: Plan, readme: pathlib.Path) -> None:
@@ -65,7 +63,7 @@ def write_headline(plan: Plan, readme: pathlib.Path) -> None:
 def provenance(plan: Plan, name: Name) -> str:
     """The command of a section, and the runs, versions and days behind it."""
     wanted = runs(plan, [name])
-    text = f"Made by `mapg paper {name} --seeds {plan.seeds}{plan.flags}`"
+    text = f"Made by `mapg paper {name}{plan.flags}`"
     if not wanted:
         return f"{text}."
     found = scores.of(plan, wanted)

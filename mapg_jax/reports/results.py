@@ -60,6 +60,11 @@ class Result(NamedTuple):
     seconds: float  # of training, by the wall clock
     date: str  # UTC day of the run's last command
     command: str
+    processor: str = ""  # this and the next four: of the process that trained; '' if not recorded
+    instructions: str = ""
+    commit: str = ""
+    threads: str = ""  # of XLA
+    engine: str = ""  # of the physics
     metrics: Mapping[str, float] = types.MappingProxyType({})  # the environment's own numbers
 
     @property
@@ -70,6 +75,8 @@ class Result(NamedTuple):
 
 COLUMNS = Result._fields[:-1]
 """Of a CSV file of results, before those of the environments' own metrics."""
+HOST = tuple(name for name in COLUMNS if name in Result._field_defaults)
+"""Those of the process that trained, which older files do not have."""
 
 
 class Protocol(NamedTuple):
@@ -111,7 +118,9 @@ def read_scored(folder: RunFolder) -> tuple[Result, dict[str, Any]]:
             "versions": versions(config, history),
             "date": history[-1].get("date") or _day(folder.evaluation),
             "command": str(history[0]["command"]),
-        }
+            **{name: _joined(process.get("host", {}).get(name) for process in history)
+               for name in HOST},
+        }  # fmt: skip
     with _reading(folder.evaluation) as score:
         result = Result(
             **run_key(config)._replace(steps=int(last["env_steps"]))._asdict(),
@@ -172,7 +181,7 @@ def versions(config: Config, history: Iterable[Mapping[str, Any]]) -> str:
     """
     names = ("gymnasium", "mujoco", *(["brax"] if config.env.startswith("brax:") else []))
     texts = (", ".join(f"{n} {process['packages'][n]}" for n in names) for process in history)
-    return "; ".join(dict.fromkeys(texts))
+    return _joined(texts)
 
 
 class Settings(NamedTuple):
@@ -279,10 +288,11 @@ def read_csv(path: str | os.PathLike) -> list[Result]:
     if not path.exists():
         return []
     header, rows = csv_file.read(path)
-    if tuple(header[: len(COLUMNS)]) != COLUMNS:
+    required = tuple(name for name in COLUMNS if name not in HOST)
+    if tuple(header[: len(required)]) != required:
         raise ValueError(
             f"{path} is no CSV of results: its columns are {','.join(header)[:200]}, "
-            f"not {','.join(COLUMNS)}"
+            f"not {','.join(required)}"
         )
     return [_parse(header, row, f"{path}, row {number}") for number, row in enumerate(rows, 2)]
 
@@ -356,6 +366,11 @@ def _summed_up(config: Config, metrics: Mapping[str, list[float]]) -> dict[str, 
     if not metrics:
         return {}
     return {own.name: own.over(metrics[own.metric]) for own in config.make_env().scored_metrics}
+
+
+def _joined(texts: Iterable[str | None]) -> str:
+    """What there is, in order, where it differs."""
+    return "; ".join(dict.fromkeys(filter(None, texts)))
 
 
 def _text(value: Any) -> str:
