@@ -43,6 +43,8 @@ def section(plan: Plan) -> str:
     if not found:
         return rows.missing(runs(plan))
     figure = draw_curves({"M = 10": found}, "q_gap_relative", "Q-gap / standard deviation of Q")
+    for axes in figure.axes:
+        axes.set_yscale("log")  # one early spike would squash the rest
     figure.savefig(plan.results / "heads.png", dpi=120)
     return "\n\n".join(
         (

@@ -4,7 +4,7 @@ import pathlib
 from collections.abc import Sequence
 from typing import NamedTuple, TextIO
 
-from experiments import curves, overhead, page, rows, scores
+from experiments import curves, page, rows, scores
 from experiments.catalogue import TITLES, Name, experiment, runs
 from experiments.plan import Plan
 from mapg_jax.reports.results import UnfinishedError, run_key, settings, versions
@@ -51,9 +51,10 @@ def make(
     try:
         if training:
             failures = train(plan, names, workers)
-            if {"overhead", "claims"} & set(names):
-                with training_lock(plan):
-                    overhead.time_arms(plan)
+            with training_lock(plan):
+                for module in map(experiment, names):
+                    if hasattr(module, "carry_out"):
+                        failures += module.carry_out(plan)
     except StoppedError:
         conclude(plan, names)
         raise

@@ -130,6 +130,12 @@ def student(values: Scores, level: float = LEVEL) -> Estimate:
     return Estimate(centre, centre - half, centre + half)
 
 
+def share(some: int, all_: int, level: float = LEVEL) -> Estimate:
+    """A share of runs, with Wilson's interval."""
+    found = stats.binomtest(some, all_).proportion_ci(level, method="wilson")
+    return Estimate(some / all_, float(found.low), float(found.high))
+
+
 def rank_sum_p(new: Scores, old: Scores) -> float:
     """Exact two-sided p of the rank-sum test (Mann-Whitney).
 

@@ -75,6 +75,7 @@ class Result(NamedTuple):
 
 COLUMNS = Result._fields[:-1]
 """Of a CSV file of results, before those of the environments' own metrics."""
+_HINTS = typing.get_type_hints(Result)
 HOST = tuple(name for name in COLUMNS if name in Result._field_defaults)
 """Those of the process that trained, which older files do not have."""
 
@@ -89,6 +90,7 @@ class Protocol(NamedTuple):
     physics: str
     episodes: int
     versions: str
+    recorded: bool  # whether it is known what machine trained them
 
 
 def read_run(folder: RunFolder | str | os.PathLike) -> Result:
@@ -156,6 +158,7 @@ def find_runs(path: str | os.PathLike) -> list[RunFolder]:
     return found
 
 
+@functools.cache
 def run_key(config: Config) -> RunKey:
     """What tells a run from every other one."""
     return RunKey(
@@ -243,6 +246,7 @@ def protocol(result: Result) -> Protocol:
     """What the run must have in common with another."""
     found = sort_settings(result)
     common = {**result._asdict(), "preset": found.preset, "settings": found.common}
+    common["recorded"] = bool(result.processor)
     return Protocol(*(common[name] for name in Protocol._fields))
 
 
@@ -313,24 +317,27 @@ def append_csv(path: str | os.PathLike, results: Sequence[Result]) -> None:
 
 def _parse(header: Sequence[str], row: Sequence[str], where: str) -> Result:
     """Texts as the types of the fields; further columns are numbers of some environment."""
-    hints = typing.get_type_hints(Result)
     if len(row) != len(header):
         raise ValueError(f"{where} has {len(row)} cells, not {len(header)}")
     values: dict[str, Any] = {"metrics": {}}
     for name, text in zip(header, row, strict=True):
         try:
             if name in COLUMNS:
-                values[name] = _finite(text) if hints[name] is float else hints[name](text)
+                kind = _HINTS[name]
+                values[name] = _finite(text) if kind is float else kind(text)
             elif text:
                 values["metrics"][name] = _finite(text)
         except ValueError:
             raise ValueError(f"{where}: {name} is no number: {text!r}") from None
     result = Result(**values)
     try:
-        registry.of_slug(result.algorithm, result.heads)
+        _known(result.algorithm, result.heads)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
     return result
+
+
+_known = functools.cache(registry.of_slug)  # which asks installed packages
 
 
 def _metrics(folder: RunFolder) -> list[dict[str, float]]:

@@ -70,7 +70,9 @@ def test_a_command_trains_measures_and_draws(made):
     assert made_by in text
 
 
-@pytest.mark.parametrize("name", ["table2", "fig2", "fig3", "fig4", "torcs", "overhead", "heads"])
+@pytest.mark.parametrize(
+    "name", ["table2", "fig2", "fig3", "fig4", "torcs", "overhead", "heads", "returns"]
+)
 def test_nothing_is_missing_of_what_was_trained(made, name):
     shown = experiment(name).section(made)
     assert "issing" not in shown and any(character.isdigit() for character in shown)
@@ -238,6 +240,13 @@ def test_results_that_cannot_be_written_are_refused_before_anything_is_trained(t
     with pytest.raises(ValueError, match="results cannot be created: Not a directory"):
         paper.make(plan, ["fig2"])
     assert not plan.runs.exists()
+
+
+def test_runs_of_version_1_are_made_again_beside_the_others(made):
+    """Here there are none of that version to compare them with."""
+    text = experiment("repeats").section(made)
+    assert "| pendulum, M = 10, seed 0 | missing | -" in text
+    assert {result.seed for result in scores.read(made)} == {2000}
 
 
 def test_overhead_is_timed_in_rounds(made):
