@@ -1,6 +1,6 @@
 """Effects over the tasks as a forest plot, performance profiles, and HalfCheetah's two humps."""
 
-from experiments import claims, fig4, rows, scores, table2
+from experiments import claims, fig4, pictures, rows, scores, table2
 from experiments.plan import Plan
 from mapg_jax.reports import inference as statistics
 from mapg_jax.reports.document import Table
@@ -23,8 +23,8 @@ def section(plan: Plan) -> str:
     if not groups:
         return rows.missing(runs(plan))
     label = "P, the probability of improvement"
-    draw_forest(groups, label).savefig(plan.results / "effects.png", dpi=120)
-    draw_profiles(profiles).savefig(plan.results / "profiles.png", dpi=120)
+    pictures.save(plan, draw_forest(groups, label), "effects")
+    pictures.save(plan, draw_profiles(profiles), "profiles")
     text = (
         "![Probability of improvement by task](effects.png)\n\n"
         "P of the first named arm over the second, by task and over the tasks together (diamond; "
@@ -71,7 +71,7 @@ def humps(plan: Plan) -> str:
     arms = profile(plan._replace(tasks=("halfcheetah",))).get("halfcheetah", {})
     lines = []
     for label, values in arms.items():
-        above = sum(value > HUMP for value in values)
+        above = sum(bool(value > HUMP) for value in values)
         lines.append(
             [label, f"{statistics.share(above, len(values)):.0%}", f"{above} of {len(values)}"]
         )

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.stats
 
-from experiments import curves, rows
+from experiments import curves, pictures, rows
 from experiments.plan import MAPG, Plan
 from mapg_jax.reports.plots import COLOURS
 from mapg_jax.training.config import Config
@@ -99,7 +99,7 @@ def section(plan: Plan) -> str:
     found = curves.of(plan, runs(plan))
     if not found:
         return rows.missing(runs(plan))
-    draw(found).savefig(plan.results / "fig2.png", dpi=120)
+    pictures.save(plan, draw(found), "fig2")
     config = runs(plan)[0]
     every = np.median(np.diff(found[0]["env_steps"], prepend=0))
     return (

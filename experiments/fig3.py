@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from envs.pendulum import Pendulum
-from experiments import rows
+from experiments import pictures, rows
 from experiments.plan import FIRST_SEED, MAPG, Plan
 from mapg_jax.algorithms import heads
 from mapg_jax.reports.plots import COLOURS
@@ -95,7 +95,7 @@ def section(plan: Plan) -> str:
     if not bins:
         return rows.missing(judged(plan))
     least = rows.of(plan.measured / BINS, floor(plan))
-    draw(bins, least, episode).savefig(plan.results / "fig3.png", dpi=120)
+    pictures.save(plan, draw(bins, least, episode), "fig3")
     seeds = {row["seed"] for row in bins}
     return (
         "![Spread and angle within an episode](fig3.png)\n\n"

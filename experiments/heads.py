@@ -1,6 +1,6 @@
 """The heads: their Q-gap, the rules of gradient and target, the choice at test time (C8)."""
 
-from experiments import curves, rows, scores, selects
+from experiments import curves, pictures, rows, scores, selects
 from experiments.plan import MAPG, Plan
 from mapg_jax.reports.document import Table
 from mapg_jax.reports.plots import draw_curves
@@ -45,7 +45,7 @@ def section(plan: Plan) -> str:
     figure = draw_curves({"M = 10": found}, "q_gap_relative", "Q-gap / standard deviation of Q")
     for axes in figure.axes:
         axes.set_yscale("log")  # one early spike would squash the rest
-    figure.savefig(plan.results / "heads.png", dpi=120)
+    pictures.save(plan, figure, "heads")
     return "\n\n".join(
         (
             "![Q-gap of the heads over training](heads.png)",

@@ -1,6 +1,7 @@
 """Which runs the experiments need, under which names, and in which order."""
 
 import dataclasses
+import functools
 import pathlib
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal, NamedTuple
@@ -87,14 +88,20 @@ class Plan(NamedTuple):
 
     def over_seeds(self, env: str, **changes) -> list[Config]:
         """One cell: its runs over all seeds of the protocol, or the first ones of them."""
-        first = self.config(env, FIRST_SEED if self.version == 2 else 0, **changes)
-        most = seeds(first, self.base) if self.version == 2 else EARLIER_SEEDS
-        count = most if self.seeds is None else min(self.seeds, most)
-        return [dataclasses.replace(first, seed=first.seed + k) for k in range(count)]
+        return list(_cell(self, env, tuple(changes.items())))
 
     def folder(self, config: Config) -> pathlib.Path:
         """Where a run is trained."""
         return self.runs / name(config, self.base)
+
+
+@functools.cache
+def _cell(plan: Plan, env: str, changes: tuple[tuple[str, Any], ...]) -> tuple[Config, ...]:
+    """Made once: a page asks for the same cells many times."""
+    first = plan.config(env, FIRST_SEED if plan.version == 2 else 0, **dict(changes))
+    most = seeds(first, plan.base) if plan.version == 2 else EARLIER_SEEDS
+    count = most if plan.seeds is None else min(plan.seeds, most)
+    return tuple(dataclasses.replace(first, seed=first.seed + k) for k in range(count))
 
 
 def make_plan(

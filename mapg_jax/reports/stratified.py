@@ -93,7 +93,7 @@ def power(tasks: Tasks, alpha: float = 0.05) -> Power:
     for new, old in tasks:
         n, m = len(new), len(old)
         drawn = [rng.choice(np.asarray(x, float), (SIMULATIONS, len(x))) for x in (new, old)]
-        found = n * m / (n + m + 1) * (improvement(*drawn) - 0.5)
+        found = n * m / (n + m + 1) * (np.asarray(improvement(*drawn)) - 0.5)
         null = _null(tuple(range(2, 2 * (n + m) + 2, 2)), n)
         every &= np.array([_tails(*null, t)[0] < alpha for t in found])
         statistic += found
@@ -132,6 +132,6 @@ def _sum(values, chances, more, their_chances) -> tuple[np.ndarray, np.ndarray]:
 def _tails(values, chances, at: float) -> tuple[float, float, float]:
     """The chances of a number as large, as small, and as far from 0."""
     near = 1e-7
-    large, small = values >= at - near, values <= at + near
-    far = np.abs(values) >= abs(at) - near
-    return tuple(min(1.0, float(chances[mask].sum())) for mask in (large, small, far))
+    masks = values >= at - near, values <= at + near, np.abs(values) >= abs(at) - near
+    large, small, far = (min(1.0, float(chances[mask].sum())) for mask in masks)
+    return large, small, far

@@ -1,9 +1,12 @@
 """The sections of the page and the tables of the README, from rows as runs would have written."""
 
+import pathlib
+import shutil
+
 import pytest
 from written import result, write, write_laps
 
-from experiments import boxes, effects, heads, overhead, page, rows, scores
+from experiments import boxes, effects, heads, overhead, page, pictures, rows, scores
 from experiments.catalogue import TITLES, runs
 from experiments.plan import A3C, DDPG, MAPG, make_plan
 from mapg_jax.reports import inference as statistics
@@ -136,3 +139,20 @@ def test_the_readme_gets_its_tables_between_its_comments(plan, tmp_path):
     )
     page.write_headline(plan, readme)
     assert readme.read_text().splitlines() == lines
+
+
+def test_the_committed_page_is_that_of_the_committed_rows(tmp_path):
+    """Its text word for word, and the numbers of its pictures; not their bytes."""
+    committed = pathlib.Path(__file__).parents[2] / "results"
+    again = tmp_path / "results"
+    drawn = shutil.ignore_patterns("*.png", pictures.FOLDER, page.FILE)
+    shutil.copytree(committed, again, ignore=drawn)
+    shutil.copy(committed.parent / "README.md", tmp_path)
+    plan = make_plan("paper", None, None, tmp_path / "runs", again)
+    page.write(plan, page.sections(plan))
+    assert (again / page.FILE).read_text() == (committed / page.FILE).read_text()
+    numbers = {file.name: file.read_text() for file in (committed / pictures.FOLDER).glob("*")}
+    assert {file.name: file.read_text() for file in (again / pictures.FOLDER).glob("*")} == numbers
+    readme = (committed.parent / "README.md").read_text()
+    page.write_headline(plan, tmp_path / "README.md")
+    assert (tmp_path / "README.md").read_text() == readme
