@@ -18,16 +18,16 @@ from mapg_jax.runs.policy import Policy, open_policy
 from mapg_jax.training.config import Config
 
 FILE = "returns.csv"
-STATES, REPEATS, ACTIONS = 20, 8, 10
-HORIZON = 500
-"""Steps; γ⁵⁰⁰ is 0.007."""
+STATES, REPEATS, ACTIONS = 20, 4, 10
+HORIZON = 300
+"""Steps; γ³⁰⁰ is 0.05."""
 
 
 class Returns(NamedTuple):
     """Discounted returns, and Q, from the same states."""
 
     heads: np.ndarray  # [S, M, R], that head first, uniform draws after it
-    held: np.ndarray  # [S, M, R], that head to the end
+    held: np.ndarray  # [S, M, 1], that head to the end: nothing is left to draw
     actions: np.ndarray  # [S, K, R], an action at random first, uniform draws after it
     q_heads: np.ndarray  # [S, M]
     q_actions: np.ndarray  # [S, K]
@@ -58,10 +58,11 @@ def measure(plan: Plan, folder: RunFolder) -> None:
 def scatter(returns: np.ndarray) -> float:
     """Standard deviation between expected returns at a state, [S, K, R]; chance is taken off.
 
-    The variance of the means of R repeats less a share 1 / R of that of the repeats, over states.
+    The variance of the means of R repeats less a share 1 / R of that of the repeats, over states;
+    of one repeat nothing is taken off.
     """
-    between = returns.mean(-1).var(-1, ddof=1)
-    within = returns.var(-1, ddof=1).mean(-1) / returns.shape[-1]
+    between, repeats = returns.mean(-1).var(-1, ddof=1), returns.shape[-1]
+    within = returns.var(-1, ddof=1).mean(-1) / repeats if repeats > 1 else 0.0
     return float(np.sqrt(max(0.0, (between - within).mean())))
 
 
@@ -79,20 +80,20 @@ def play(policy: Policy, config: Config, horizon: int = HORIZON) -> Returns:
     q_actions = agent.algorithm.values(
         state.learner.critic, agent.normalize(state, observation), random
     )
-    # By state: M heads, M heads that are held, K actions; each of them R times.
-    first = jnp.concatenate([proposals, proposals, random], 1)
-    held = jnp.concatenate([jnp.full(m, -1), jnp.arange(m), jnp.full(ACTIONS, -1)])
-    kinds = len(held)
-    many = jax.tree.map(lambda x: jnp.repeat(x, kinds * REPEATS, 0), starts)
-    first = jnp.repeat(first.reshape(-1, size), REPEATS, 0)
-    held = jnp.tile(jnp.repeat(held, REPEATS), STATES)
+    # By state: every head and every action R times, and every head once that is held.
+    first = jnp.concatenate(
+        [jnp.repeat(proposals, REPEATS, 1), jnp.repeat(random, REPEATS, 1), proposals], 1
+    )
+    draws = (m + ACTIONS) * REPEATS
+    held = jnp.tile(jnp.concatenate([jnp.full(draws, -1), jnp.arange(m)]), STATES)
+    many = jax.tree.map(lambda x: jnp.repeat(x, draws + m, 0), starts)
     steps = min(horizon, config.episode_steps())
     follow = jax.jit(functools.partial(_followed, policy, config.discount, steps))
-    returns = np.asarray(follow(many, first, held, play_key)).reshape(STATES, kinds, REPEATS)
-    return Returns(
-        returns[:, :m], returns[:, m : 2 * m], returns[:, 2 * m :],
-        np.asarray(q_heads), np.asarray(q_actions),
-    )  # fmt: skip
+    found = np.asarray(follow(many, first.reshape(-1, size), held, play_key))
+    drawn, whole = np.split(found.reshape(STATES, -1), [draws], 1)
+    drawn = drawn.reshape(STATES, -1, REPEATS)
+    q = np.asarray(q_heads), np.asarray(q_actions)
+    return Returns(drawn[:, :m], whole[..., None], drawn[:, m:], *q)
 
 
 def _visited(policy: Policy, steps: int, key: jax.Array) -> envs.State:
