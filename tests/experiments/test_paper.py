@@ -19,7 +19,7 @@ from mapg_jax.runs.signals import StoppedError
 from mapg_jax.sweeps.worker import failure_file
 from mapg_jax.training.config import Config
 
-NAMES: list[Name] = list(TITLES)
+NAMES: list[Name] = [name for name in TITLES if name != "repeats"]
 
 
 def small(folder) -> Plan:
@@ -240,13 +240,6 @@ def test_results_that_cannot_be_written_are_refused_before_anything_is_trained(t
     with pytest.raises(ValueError, match="results cannot be created: Not a directory"):
         paper.make(plan, ["fig2"])
     assert not plan.runs.exists()
-
-
-def test_runs_of_version_1_are_made_again_beside_the_others(made):
-    """Here there are none of that version to compare them with."""
-    text = experiment("repeats").section(made)
-    assert "| pendulum, M = 10, seed 0 | missing | -" in text
-    assert {result.seed for result in scores.read(made)} == {2000}
 
 
 def test_overhead_is_timed_in_rounds(made):

@@ -3,10 +3,22 @@
 import pathlib
 import shutil
 
+import oracles
 import pytest
 from written import result, write, write_laps
 
-from experiments import boxes, effects, heads, overhead, page, pictures, rows, scores
+from experiments import (
+    boxes,
+    curves,
+    effects,
+    heads,
+    overhead,
+    page,
+    pictures,
+    repeats,
+    rows,
+    scores,
+)
 from experiments.catalogue import TITLES, runs
 from experiments.plan import A3C, DDPG, MAPG, make_plan
 from mapg_jax.reports import inference as statistics
@@ -107,6 +119,20 @@ def test_version_1_is_shown_apart(plan):
     text = page.sections(plan)["table2"]
     assert "| hopper | here | 100 ± 3 (n = 1) |" in text
     assert "| | version 1 | 7 ± 3 (n = 1) |" in text
+
+
+def test_a_run_of_version_1_made_again_is_compared_with_itself(plan, tmp_path):
+    """The third evaluation is another one; no other number has its score."""
+    ddpg, _ = repeats.repeated(plan)
+    append_csv(scores.path(plan), [result(ddpg, 7, processor="")])
+    numbers = dict.fromkeys(curves.COLUMNS, 0.0)
+    lines = [{**rows.identity(ddpg), **numbers, "return_mean": x} for x in (0.5, 1.0, 9.0, 2.0)]
+    rows.append(plan.measured / curves.FILE, lines)
+    folder = oracles.finished_run(ddpg, tmp_path / "again", [1.0, 3.0])
+    repeats.measure(plan, folder)
+    text = repeats.section(plan)
+    assert "| halfcheetah, DDPG, seed 0 | 7 | 2 | the first 2 of 4 |" in text
+    assert scores.read(plan) == []
 
 
 def test_the_page_begins_with_the_answer(plan):
