@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: demo test test-mjx check lint types bench bench-peers bench-compare clean
+.PHONY: demo test test-mjx check lint types results bench bench-peers bench-compare clean
 
 demo: .venv/ready  ## train MAPG (M = 10) on Pendulum and score it over 100 episodes
 	$(BIN)/mapg train --env pendulum --heads 10 --steps 40000 --evaluate-every 2000
@@ -22,6 +22,9 @@ lint: .venv/ready
 
 types: .venv/ready
 	$(BIN)/pyright
+
+results: .venv/ready  ## results/README.md and its pictures, from the committed CSV files
+	$(BIN)/mapg paper all --no-train
 
 bench: .venv/ready  ## speed, against peers where they are installed
 	$(BIN)/python -m benchmarks

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from experiments import rows
+from experiments import pictures, rows
 from experiments.plan import Plan
 from mapg_jax.reports.plots import draw_boxes
 from mapg_jax.runs.folder import RunFolder
@@ -37,9 +37,8 @@ def section(plan: Plan, envs: Sequence[str], picture: str) -> str:
     if not found:
         return rows.missing(runs(plan, envs))
     figure = draw_boxes(by_task(plan, found, envs), "return of an episode")
-    figure.savefig(plan.results / picture, dpi=120)
     return (
-        f"![Score over M]({picture})\n\n"
+        f"![Score over M]({pictures.save(plan, figure, picture)})\n\n"
         "A box a value of M: quartiles and median of the returns of all episodes of all seeds, "
         "whiskers to 1.5 times the box, specks beyond, as the paper draws the episodes of one run; "
         "a dot is the mean of one seed, and their scatter is what tells M apart from chance. M = 1 "

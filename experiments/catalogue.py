@@ -9,9 +9,12 @@ from experiments.plan import Plan, in_order
 from mapg_jax.training.config import Config
 
 Name = Literal[
-    "table2", "fig1", "fig5", "fig2", "fig3", "fig4", "torcs", "overhead", "heads", "claims"
-]
+    "claims", "effects", "table2", "fig1", "fig5", "fig2", "fig3", "fig4", "torcs", "heads",
+    "returns", "overhead", "repeats",
+]  # fmt: skip
 TITLES: dict[Name, str] = {
+    "claims": "The claims",
+    "effects": "Effects over the tasks",
     "table2": "Table 2: five tasks",
     "fig1": "Figure 1: score over M, Hopper and Walker2d",
     "fig5": "Figure 5: score over M, the other tasks",
@@ -19,14 +22,20 @@ TITLES: dict[Name, str] = {
     "fig3": "Figure 3: spread and angle within an episode, Pendulum",
     "fig4": "Figure 4: with and without noise",
     "torcs": "Driving, for TORCS",
-    "overhead": "What the heads cost",
     "heads": "The heads",
-    "claims": "The claims",
+    "returns": "What each head returns",
+    "overhead": "What the heads cost",
+    "repeats": "Two runs of version 1, made again",
 }
+"""In the order of the page."""
 
 
 def experiment(name: Name):
-    """A module with `runs(plan)`, `section(plan)`, and perhaps `measure(plan, folder)`."""
+    """A module with `runs(plan)` and `section(plan)`.
+
+    It may have `measure(plan, folder)`, of a run that finished, and `carry_out(plan)`, for what it
+    does beside runs, once they are trained.
+    """
     return importlib.import_module(f"experiments.{name}")
 
 

@@ -11,6 +11,8 @@ from mapg_jax.runs.metrics import read_metrics
 from mapg_jax.training.config import Config
 
 FILE = "curves.csv"
+LATE = 10
+"""Evaluations behind the second score."""
 COLUMNS = ("env_steps", "return_mean", "training_return", "spread", "q_gap_relative", "critic_loss")
 
 
@@ -33,3 +35,9 @@ def of(plan: Plan, runs: Sequence[Config]) -> list[dict[str, np.ndarray]]:
         {k: np.array([float(row[k]) for row in of_run]) for k in ("seed", *COLUMNS)}
         for of_run in by_run.values()
     ]
+
+
+def late(plan: Plan, runs: Sequence[Config]) -> np.ndarray:
+    """The second score: the mean return of the last ten evaluations, by seed."""
+    found = {int(curve["seed"][0]): curve["return_mean"][-LATE:].mean() for curve in of(plan, runs)}
+    return np.array([found[seed] for seed in sorted(found)])

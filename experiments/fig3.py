@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from envs.pendulum import Pendulum
-from experiments import rows
-from experiments.plan import MAPG, Plan
+from experiments import pictures, rows
+from experiments.plan import FIRST_SEED, MAPG, Plan
 from mapg_jax.algorithms import heads
+from mapg_jax.reports.plots import COLOURS
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.policy import Policy, open_policy
 from mapg_jax.training.config import Config
@@ -18,11 +19,22 @@ from mapg_jax.training.config import Config
 STARTS = 100
 START = 5.0  # degrees either side of hanging down, at rest
 BIN = 10  # degrees
+ANGLES = np.arange(-180, 180, BIN) + BIN / 2
 BINS, EPISODE = "fig3_bins.csv", "fig3_episode.csv"
 
 
 def runs(plan: Plan) -> list[Config]:
+    return [*judged(plan), *floor(plan)]
+
+
+def judged(plan: Plan) -> list[Config]:
+    """M = 10."""
     return plan.over_seeds("pendulum", **MAPG)
+
+
+def floor(plan: Plan) -> list[Config]:
+    """M = 10 where every update moves all heads alike: what spread is left without a reason."""
+    return plan.over_seeds("pendulum", **MAPG, gradient="all")
 
 
 def measure(plan: Plan, folder: RunFolder) -> None:
@@ -34,7 +46,7 @@ def measure(plan: Plan, folder: RunFolder) -> None:
     edges = np.arange(-180, 181, BIN)
     counts, _ = np.histogram(angle, edges)
     sums, _ = np.histogram(angle, edges, weights=spread)
-    if folder.config.seed == 0 and not rows.holds(plan.measured / EPISODE, key):
+    if key == rows.identity(runs(plan)[0]) and not rows.holds(plan.measured / EPISODE, key):
         episode = zip(angle[0], spread[0], strict=True)
         rows.append(
             plan.measured / EPISODE,
@@ -78,56 +90,68 @@ def play(policy: Policy, config: Config) -> tuple[np.ndarray, np.ndarray]:
 
 def section(plan: Plan) -> str:
     """The picture, and what it shows."""
-    bins = rows.of(plan.measured / BINS, runs(plan))
+    bins = rows.of(plan.measured / BINS, judged(plan))
     episode = rows.of(plan.measured / EPISODE, runs(plan)[:1])
     if not bins:
-        return rows.missing(runs(plan))
-    draw(bins, episode).savefig(plan.results / "fig3.png", dpi=120)
+        return rows.missing(judged(plan))
+    least = rows.of(plan.measured / BINS, floor(plan))
+    pictures.save(plan, draw(bins, least, episode), "fig3")
     seeds = {row["seed"] for row in bins}
     return (
         "![Spread and angle within an episode](fig3.png)\n\n"
         f"{STARTS} episodes a seed, started at rest within {START:g}° of hanging down; n = "
-        f"{len(seeds)} seeds. Left: mean spread of the ten actions by angle, a line a seed. Right: "
-        "one episode of seed 0, as the paper shows it. 0° is hanging down, ±180° upright; the "
-        "spread is in units of the range [-1, 1] of actions."
+        f"{len(seeds)} seeds. Left: mean spread of the ten actions by angle, a thin line a seed; "
+        "dashed, where every update moves all heads alike (gradient `all`): the floor of C4b. "
+        "Right: "
+        f"one episode of seed {FIRST_SEED}, as the paper shows it. 0° is hanging down, ±180° "
+        "upright; the spread is in units of the range [-1, 1] of actions."
     )
 
 
-def draw(bins: Sequence[rows.Row], episode: Sequence[rows.Row]):
-    """Spread by angle, all seeds; angle and spread over one episode."""
+def by_angle(bins: Sequence[rows.Row], seed: str) -> list[float]:
+    """The spread of one seed at ANGLES, nan where no state was."""
+    found = {float(row["angle"]): float(row["spread"]) for row in bins if row["seed"] == seed}
+    return [found.get(angle, np.nan) for angle in ANGLES]
+
+
+def draw(bins: Sequence[rows.Row], least: Sequence[rows.Row], episode: Sequence[rows.Row]):
+    """Spread by angle, all seeds, beside the floor; angle and spread over one episode."""
     from matplotlib.figure import Figure  # slow to import
 
     figure = Figure(figsize=(10, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    for seed in sorted({row["seed"] for row in bins}, key=int):
-        by_angle = {float(row["angle"]): row["spread"] for row in bins if row["seed"] == seed}
-        angle = np.arange(-180, 180, BIN) + BIN / 2
-        mean = [float(by_angle.get(a, "nan")) for a in angle]  # a gap where no state was
-        left.plot(angle, mean, marker=".", label=f"seed {seed}")
+    arms = (("M = 10", bins, COLOURS[1], "-"), ("gradient all", least, COLOURS[2], "--"))
+    for label, of_arm, colour, style in arms:
+        lines = [by_angle(of_arm, seed) for seed in sorted({row["seed"] for row in of_arm})]
+        for line in lines:
+            left.plot(ANGLES, line, linewidth=0.5, alpha=0.5, color=colour, linestyle=style)
+        if lines:
+            label = f"{label}, median of n = {len(lines)}"
+            median = np.median(lines, 0)
+            left.plot(ANGLES, median, linewidth=2, color=colour, linestyle=style, label=label)
     left.set(xlabel="angle, degrees (0 hanging down)", ylabel="spread of the actions")
-    left.set(xticks=range(-180, 181, 60), title="Mean over all states")
-    left.set_ylim(bottom=0)
-    figure.legend(loc="outside lower left", ncols=5, frameon=False)  # of the left panel alone
+    left.set(xticks=range(-180, 181, 60), title="Mean over all states", yscale="log")
+    left.legend(frameon=False)
 
     time = [int(row["step"]) for row in episode]
-    right.plot(time, [float(row["spread"]) for row in episode], color="tab:orange")
-    right.set(xlabel="step", title="One episode, seed 0")
-    right.set_ylabel("spread of the actions", color="tab:orange")
+    right.plot(time, [float(row["spread"]) for row in episode], color=COLOURS[2])
+    right.set(xlabel="step", title=f"One episode, seed {FIRST_SEED}")
+    right.set_ylabel("spread of the actions", color=COLOURS[2])
     right.set_ylim(bottom=0)
     angles = right.twinx()
-    angles.plot(time, [float(row["angle"]) for row in episode], ".", ms=3, color="tab:blue")
+    angles.plot(time, [float(row["angle"]) for row in episode], ".", ms=3, color=COLOURS[1])
     angles.set(ylim=(-185, 185), yticks=range(-180, 181, 60))
-    angles.set_ylabel("angle, degrees", color="tab:blue")
+    angles.set_ylabel("angle, degrees", color=COLOURS[1])
     return figure
 
 
-def spread_by_seed(plan: Plan) -> dict[str, list[float]]:
+def spread_by_seed(plan: Plan, runs: Sequence[Config]) -> dict[str, list[float]]:
     """Of every seed: mean spread at most 30° from hanging, between 30° and 150°, and beyond.
 
     nan where no state of a seed is in that range.
     """
     means: dict[str, list[float]] = {"hanging": [], "between": [], "upright": []}
-    bins = rows.of(plan.measured / BINS, runs(plan))
+    bins = rows.of(plan.measured / BINS, runs)
     for seed in sorted({row["seed"] for row in bins}, key=int):
         of_seed = [row for row in bins if row["seed"] == seed]
         angle, states, spread = (

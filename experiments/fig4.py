@@ -1,6 +1,6 @@
 """Figure 4: DDPG and MAPG during training, with and without exploration noise (C5)."""
 
-from experiments import curves, rows, scores
+from experiments import curves, pictures, rows, scores
 from experiments.plan import DDPG, MAPG, NO_NOISE, Plan
 from mapg_jax.reports.document import Table
 from mapg_jax.reports.plots import draw_curves
@@ -31,7 +31,7 @@ def section(plan: Plan) -> str:
     if not tasks:
         return rows.missing(runs(plan))
     figure = draw_curves(tasks)
-    figure.savefig(plan.results / "fig4.png", dpi=120)
+    pictures.save(plan, figure, "fig4")
     lines = []
     for env in plan.studied:
         cells = [scores.summary(scores.means(plan, arm(plan, env, label))) for label in ARMS]

@@ -14,4 +14,4 @@ def runs(plan: Plan) -> list[Config]:
 
 def section(plan: Plan) -> str:
     """The picture, and what it shows."""
-    return boxes.section(plan, ENVS, "fig5.png")
+    return boxes.section(plan, ENVS, "fig5")

@@ -14,6 +14,7 @@ from experiments.plan import Plan
 from mapg_jax.reports import inference as statistics
 from mapg_jax.reports.document import Table
 from mapg_jax.runs.folder import this_process
+from mapg_jax.runs.host import this_host
 from mapg_jax.runs.signals import StoppedError, caught_signals
 from mapg_jax.training.config import Config
 from mapg_jax.training.state import TrainState
@@ -27,16 +28,16 @@ def runs(plan: Plan) -> list[Config]:
     return []
 
 
-def time_arms(plan: Plan) -> None:
-    """Times every M on Hopper, interleaved, unless that was done before.
+def carry_out(plan: Plan) -> list[str]:
+    """Times every M on Hopper, interleaved, unless that was done before; gives no failures.
 
     Raises:
       StoppedError: on SIGINT or SIGTERM; rounds are compared as a whole, and none is kept.
     """
     if (plan.measured / TIMES).exists():
-        return
+        return []
     rounds, seconds = plan.timing
-    process = this_process()
+    process, host = this_process(), this_host("native")
     packages = {name: process["packages"][name] for name in ("jax", "jaxlib", "mujoco")}
     where = {
         "date": process["date"],
@@ -44,6 +45,7 @@ def time_arms(plan: Plan) -> None:
         "cores": cpus(),
         "threads": os.environ.get("NPROC", "all"),  # of XLA
         "load": f"{os.getloadavg()[0]:.2f}",  # of the last minute, by others
+        **{name: host[name] for name in ("processor", "instructions", "commit")},
     }
     times = []
     with caught_signals() as signals:
@@ -53,6 +55,7 @@ def time_arms(plan: Plan) -> None:
                 raise StoppedError(signals[0], "the same command")
             times.append({"env": "hopper", "heads": arm.config.heads, "round": r, **where, **arm()})
     rows.append(plan.measured / TIMES, times)
+    return []
 
 
 class TimedArm:

@@ -5,24 +5,34 @@ from collections.abc import Mapping
 
 from experiments import claims, rows, scores, table2
 from experiments.catalogue import TITLES, Name, experiment, runs
-from experiments.plan import Plan, is_the_papers
+from experiments.plan import FIRST_SEED, Plan, is_the_papers
 from mapg_jax.reports.document import Table
 
 FILE = "README.md"
 HEAD = """# Results
 
-Every number and picture here was written by a command; how runs are made and claims judged was
-fixed beforehand, in [experiments/protocol.md](../experiments/protocol.md). What is not there yet is
-shown as missing. Scores of all runs: [scores.csv](scores.csv); what else was measured on them:
-[measured](measured)."""
+**Question.** A policy proposes several actions a state, draws one, and learns from the one it drew:
+does that do what the paper says? It has one training run a cell.
+
+**Method.** Every cell has the seeds that [the protocol](../experiments/protocol.md), version 2,
+named before the first of them: eight or five, on Humanoid six or two, the same in all cells. A
+run has {steps:,} steps and a score over {episodes} episodes; tests over seeds are exact; a claim
+is judged once, when all its runs are there.
+
+**Answer.** {answer}
+
+**Limits.** {done} of {wanted} runs are there. Tasks are Gymnasium's v5, not the v1 of 2017; driving
+stands in for TORCS; that scores are equal is never concluded, and power is printed where nothing is
+decided. [Version 1](version_1/README.md) is kept apart. `make results` makes this page from
+[scores.csv](scores.csv) and what else was [measured](measured)."""
 
 
 def sections(plan: Plan) -> dict[Name, str]:
     """Every experiment, from every seed in the results; the pictures are written."""
     plan.results.mkdir(parents=True, exist_ok=True)
     found: dict[Name, str] = {}
+    shown = with_all_seeds(plan)
     for name, title in TITLES.items():
-        shown = with_all_seeds(plan, name)
         text = experiment(name).section(shown)
         found[name] = f"## {title}\n\n{text}\n\n{provenance(shown, name)}"
     return found
@@ -31,41 +41,81 @@ def sections(plan: Plan) -> dict[Name, str]:
 def write(plan: Plan, sections: Mapping[Name, str]) -> pathlib.Path:
     """The page, and the tables of the project's README."""
     page = plan.results / FILE
-    page.write_text("\n\n".join([HEAD, *sections.values(), diverged(plan)]).rstrip() + "\n")
+    text = "\n\n".join(
+        [abstract(with_all_seeds(plan)), *sections.values(), earlier(plan), diverged(plan)]
+    )
+    page.write_text(text.rstrip() + "\n")
     if is_the_papers(plan):
-        write_headline(with_all_seeds(plan, "claims"), pathlib.Path("README.md"))
+        write_headline(with_all_seeds(plan), pathlib.Path("README.md"))
     return page
 
 
-def with_all_seeds(plan: Plan, name: Name) -> Plan:
-    """As many seeds as an experiment's results have: a comparison uses every one there is."""
-    most = max([0, *(result.seed + 1 for result in scores.read_csv(scores.path(plan)))])
-    widest = plan._replace(seeds=max(plan.seeds, most))
-    found = scores.of(widest, runs(widest, [name]))
-    return plan._replace(seeds=max([plan.seeds, *(result.seed + 1 for result in found)]))
+def answer(plan: Plan) -> str:
+    """The claims by their verdicts, in a sentence."""
+    by_verdict: dict[str, list[str]] = {}
+    for verdict in claims.ledger(plan):
+        kind = "not yet judged" if verdict.verdict.startswith("not yet") else verdict.verdict
+        by_verdict.setdefault(kind, []).append(verdict.claim)
+    text = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in by_verdict.items())
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def abstract(plan: Plan) -> str:
+    """Ten lines: question, method, answer, limits."""
+    wanted = runs(plan, list(TITLES))
+    return HEAD.format(
+        steps=plan.base.steps,
+        episodes=plan.base.final_episodes,
+        answer=answer(plan),
+        done=len(scores.of(plan, wanted)),
+        wanted=len(wanted),
+    )
+
+
+def earlier(plan: Plan) -> str:
+    """The verdicts of version 1, as they were recorded."""
+    found = rows.read(plan.results / claims.EARLIER)
+    if not found:
+        return ""
+    lines = [[row[k] for k in ("claim", "text", "evidence", "verdict")] for row in found]
+    return (
+        "## Version 1\n\nBy its own rules, on its own seeds (0 to 9); all of it is "
+        "[kept](version_1/README.md) as it was recorded.\n\n"
+        + Table(("", "claim", "evidence", "verdict"), lines).markdown()
+    )
+
+
+def with_all_seeds(plan: Plan) -> Plan:
+    """A comparison uses every seed there is, whatever was trained last."""
+    most = max((result.seed - FIRST_SEED + 1 for result in scores.read(plan)), default=0)
+    return plan if plan.seeds is None else plan._replace(seeds=max(plan.seeds, most))
 
 
 def write_headline(plan: Plan, readme: pathlib.Path) -> None:
     """Puts Table 2 and the verdicts where the project's README has its comments for them."""
-    verdicts = [(v.claim, v.text, v.verdict) for v in claims.ledger(plan)]
-    tables = {
-        "table 2": table2.beside_the_paper(plan),
-        "claims": Table(("", "claim", "verdict"), verdicts),
+    verdicts = [
+        (v.claim, v.text, claims.earlier(plan, v.claim), v.verdict) for v in claims.ledger(plan)
+    ]
+    verdict_table = Table(("", "claim", "version 1", "version 2"), verdicts)
+    parts = {
+        "table 2": table2.beside_the_paper(plan).markdown(),
+        "claims": verdict_table.markdown(),
+        "answer": answer(plan),
     }
     if readme.exists():
         text = readme.read_text()
-        for name, table in tables.items():
+        for name, shown in parts.items():
             begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
             before, found, rest = text.partition(begin)
             if found and end in rest:
-                text = f"{before}{begin}\n{table.markdown()}\n{end}{rest.partition(end)[2]}"
+                text = f"{before}{begin}\n{shown}\n{end}{rest.partition(end)[2]}"
         readme.write_text(text)
 
 
 def provenance(plan: Plan, name: Name) -> str:
     """The command of a section, and the runs, versions and days behind it."""
     wanted = runs(plan, [name])
-    text = f"Made by `mapg paper {name} --seeds {plan.seeds}{plan.flags}`"
+    text = f"Made by `mapg paper {name}{plan.flags}`"
     if not wanted:
         return f"{text}."
     found = scores.of(plan, wanted)
@@ -76,7 +126,8 @@ def provenance(plan: Plan, name: Name) -> str:
     versions = " and ".join(sorted({result.versions for result in found}))
     until = f" to {days[-1]}" if len(days) > 1 else ""
     steps = " or ".join(f"{n:,}" for n in sorted({result.steps for result in found}))
-    return f"{text}, {steps} steps each; {versions}; {days[0]}{until}."
+    machines = " and ".join(sorted({result.processor for result in found}))
+    return f"{text}, {steps} steps each; {versions}; {machines}; {days[0]}{until}."
 
 
 def diverged(plan: Plan) -> str:

@@ -4,7 +4,7 @@ import pathlib
 from collections.abc import Sequence
 from typing import NamedTuple, TextIO
 
-from experiments import curves, overhead, page, rows, scores
+from experiments import curves, page, rows, scores
 from experiments.catalogue import TITLES, Name, experiment, runs
 from experiments.plan import Plan
 from mapg_jax.reports.results import UnfinishedError, run_key, settings, versions
@@ -51,9 +51,10 @@ def make(
     try:
         if training:
             failures = train(plan, names, workers)
-            if {"overhead", "claims"} & set(names):
-                with training_lock(plan):
-                    overhead.time_arms(plan)
+            with training_lock(plan):
+                for module in map(experiment, names):
+                    if hasattr(module, "carry_out"):
+                        failures += module.carry_out(plan)
     except StoppedError:
         conclude(plan, names)
         raise
@@ -95,7 +96,7 @@ def refuse_other_protocols(plan: Plan) -> None:
         arm = config.env, config.slug, config.heads
         steps.setdefault(arm, {plan.base.steps}).add(config.steps)
     known = {settings(config) for config in planned}
-    found = scores.read_csv(scores.path(plan))
+    found = scores.read(plan)
     for number, result in enumerate(found):
         arm = result.env, result.algorithm, result.heads
         if result.steps not in steps.get(arm, {plan.base.steps}):
@@ -123,7 +124,7 @@ def refuse_nothing(plan: Plan, names: Sequence[Name]) -> None:
 
 def refuse_to_mix(plan: Plan, waiting: Sequence[Config]) -> None:
     """Runs begun now must compare with those there are, else hours are lost."""
-    recorded = scores.read_csv(scores.path(plan))
+    recorded = scores.read(plan)
     for env, config in {config.env: config for config in waiting}.items():
         ours = versions(config, [this_process()])
         if reason := scores.difference(recorded, ours, env, config.make_env().backend):
@@ -132,7 +133,7 @@ def refuse_to_mix(plan: Plan, waiting: Sequence[Config]) -> None:
 
 def train(plan: Plan, names: Sequence[Name], workers: int | None) -> list[str]:
     """Trains what is not in the results and has not diverged; gives the failures."""
-    recorded = {result.run for result in scores.read_csv(scores.path(plan))}
+    recorded = {result.run for result in scores.read(plan)}
     diverged = rows.of(plan.measured / rows.DIVERGED, runs(plan, names))
     named = [{k: row[k] for k in rows.COLUMNS} for row in diverged]
     waiting = [

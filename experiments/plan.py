@@ -1,11 +1,13 @@
 """Which runs the experiments need, under which names, and in which order."""
 
 import dataclasses
+import functools
 import pathlib
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
-from mapg_jax.training.config import Config, Preset, preset
+from mapg_jax.algorithms import registry
+from mapg_jax.training.config import Config, Preset, fields, preset
 
 TASKS = ("hopper", "walker2d", "humanoid", "halfcheetah", "swimmer")
 HEADS = (5, 10, 20, 50)
@@ -25,12 +27,18 @@ EVALUATIONS = {"paper": 40, "smoke": 10}
 TIMING = {"paper": (9, 1.0), "smoke": (3, 0.1)}
 """Of the heads' cost: rounds, and seconds of each M in a round."""
 RULES: Mapping[str, Mapping[str, Any]] = {
-    "stored": {},
-    "resampled": {"gradient": "resampled"},
     "all": {"gradient": "all"},
-    "sampled target": {"target": "sampled"},
+    "wide": {"head_spread": 1.0},
+    "diverse": registry.find("mapg").presets.get("diverse", {}),
 }
-"""Of the actor's gradient, and of the target; `stored` with the mean is the default."""
+"""Of the heads, beside the paper's; those that the algorithm does not have are left out."""
+FIRST_SEED = 2_000
+"""Of the protocol's version 2."""
+EARLIER_SEEDS = 10
+"""Version 1 had fewer: 0, 1, …"""
+SEEDS = {"core": 8, "others": 5}
+SEEDS_OF_HUMANOID = {"core": 6, "others": 2}
+"""Of a cell; a run of Humanoid takes four times as long."""
 
 
 class Plan(NamedTuple):
@@ -38,7 +46,8 @@ class Plan(NamedTuple):
 
     base: Config
     """MAPG by the preset, with the steps and the cadence of evaluation that all runs share."""
-    seeds: int
+    seeds: int | None
+    """Of a cell, at most; by default as many as the protocol has."""
     runs: pathlib.Path
     """Run folders; not committed."""
     results: pathlib.Path
@@ -48,18 +57,22 @@ class Plan(NamedTuple):
     heads: tuple[int, ...] = HEADS
     """M, beside DDPG's 1."""
     studied: tuple[str, ...] = ("pendulum", "halfcheetah")
-    """Tasks on which noise and the rules of the heads are compared."""
+    """Tasks on which DDPG and M = 10 are compared with and without noise."""
+    ruled: tuple[str, ...] = ("halfcheetah", "hopper")
+    """Tasks on which the rules of the heads are compared."""
     timing: tuple[int, float] = TIMING["paper"]
     preset: Preset = "paper"
     flags: str = ""
-    """Of the command, beside the seeds."""
+    """Of the command."""
+    version: Literal[1, 2] = 2
+    """Of the protocol: version 1 is read, for what its seeds gave; runs are of version 2."""
 
     @property
     def measured(self) -> pathlib.Path:
         """CSV files of what was measured on the runs beside their scores."""
         return self.results / "measured"
 
-    def config(self, env: str, seed: int = 0, **changes) -> Config:
+    def config(self, env: str, seed: int = FIRST_SEED, **changes) -> Config:
         """One run."""
         shared = {name: getattr(self.base, name) for name in SHARED}
         return preset(self.preset, **{**shared, "env": env, "seed": seed, **changes})
@@ -68,17 +81,31 @@ class Plan(NamedTuple):
         """The columns of Table 2, by their names."""
         return {"DDPG": DDPG, "A3C": A3C, **{f"M = {m}": {"heads": m} for m in self.heads}}
 
+    def rules(self) -> dict[str, Mapping[str, Any]]:
+        """RULES that the algorithm has, by their names."""
+        known = fields(type(self.base))
+        return {name: rule for name, rule in RULES.items() if rule and set(rule) <= set(known)}
+
     def over_seeds(self, env: str, **changes) -> list[Config]:
-        """One cell: its runs over all seeds."""
-        return [self.config(env, seed, **changes) for seed in range(self.seeds)]
+        """One cell: its runs over all seeds of the protocol, or the first ones of them."""
+        return list(_cell(self, env, tuple(changes.items())))
 
     def folder(self, config: Config) -> pathlib.Path:
         """Where a run is trained."""
         return self.runs / name(config, self.base)
 
 
+@functools.cache
+def _cell(plan: Plan, env: str, changes: tuple[tuple[str, Any], ...]) -> tuple[Config, ...]:
+    """Made once: a page asks for the same cells many times."""
+    first = plan.config(env, FIRST_SEED if plan.version == 2 else 0, **dict(changes))
+    most = seeds(first, plan.base) if plan.version == 2 else EARLIER_SEEDS
+    count = most if plan.seeds is None else min(plan.seeds, most)
+    return tuple(dataclasses.replace(first, seed=first.seed + k) for k in range(count))
+
+
 def make_plan(
-    name: Preset, steps: int | None, seeds: int, runs: pathlib.Path, results: pathlib.Path
+    name: Preset, steps: int | None, seeds: int | None, runs: pathlib.Path, results: pathlib.Path
 ) -> Plan:
     """The plan of a preset, its steps unless others are given.
 
@@ -89,6 +116,8 @@ def make_plan(
     flags = "" if name == "paper" else f" --preset {name}"
     if steps not in (None, base.steps):
         base, flags = dataclasses.replace(base, steps=steps), f"{flags} --steps {steps}"
+    if seeds is not None:
+        flags = f" --seeds {seeds}{flags}"
     a3c: Any = preset(name, "a3c")
     turn = a3c.environments * a3c.rollout_steps
     if base.steps % turn:
@@ -108,36 +137,56 @@ def is_the_papers(plan: Plan) -> bool:
 
 
 def name(config: Config, base: Config) -> str:
-    """The folder of a run, by what sets it apart: `hopper-ddpg-m1-s0`."""
+    """The folder of a run, by what sets it apart: `hopper-ddpg-m1-s2000`."""
     parts = [config.env, config.slug, f"m{config.heads}"]
-    for field in ("steps", "noise", "gradient", "target"):
-        if getattr(config, field, None) not in (None, getattr(base, field)):
-            parts.append(str(getattr(config, field)))
+    if config.steps != base.steps:
+        parts.append(str(config.steps))
+    for field in sorted(changed(config, base) - {"env_options", "time_limit"}):
+        value = getattr(config, field)
+        parts.append(value if isinstance(value, str) else f"{field}{value}")
     return "-".join([*parts, f"s{config.seed}"])
+
+
+def seeds(config: Config, base: Config) -> int:
+    """How many the protocol has of a cell, which it fixed before the first of them."""
+    counts = SEEDS_OF_HUMANOID if config.env == "humanoid" else SEEDS
+    return counts["core" if is_core(config, base) else "others"]
 
 
 def in_order(plan: Plan, wanted: Iterable[Config]) -> list[Config]:
     """The runs in the protocol's order, each once; it does not depend on what comes out."""
 
     def rank(config: Config):
-        first = config.seed == 0
-        core = _is_core(config, plan.base) and (_has(config, plan.base, "noise") or not first)
-        # Seed 0 of the core, the rest of seed 0, the core seed by seed, the rest seed by seed.
-        stage = (0 if core else 1) if first else (2 if core else 3)
-        slow = config.env == "humanoid"  # four times as long: two turns after the others
-        turn = config.seed + 2 * slow
-        return stage, turn, slow, config.env, config.heads, name(config, plan.base)
+        slow = config.env == "humanoid"
+        place = config.seed, config.env, config.heads, name(config, plan.base)
+        return item(config, plan.base), slow, *place
 
     return sorted(dict.fromkeys(wanted), key=rank)
 
 
-def _is_core(config: Config, base: Config) -> bool:
-    """DDPG and M = 10, of Table 2, driving and Figure 4."""
-    return config.heads in (1, 10) and _has(config, base, "gradient", "target")
+def item(config: Config, base: Config) -> int:
+    """Of the protocol's list of runs."""
+    core = is_core(config, base)
+    if config.env not in TASKS or "noise" in changed(config, base):
+        return 3
+    if config.algorithm == base.algorithm and not core and config.heads == MAPG["heads"]:
+        return 5
+    if core:
+        return 1
+    return 4 if config.env == "humanoid" else 2
 
 
-def _has(config: Config, base: Config, *names: str) -> bool:
-    """Whether a run of MAPG has those options of the base."""
-    return config.algorithm == base.algorithm and all(
-        getattr(config, name) == getattr(base, name) for name in names
-    )
+def is_core(config: Config, base: Config) -> bool:
+    """DDPG and M = 10 by the paper's rules: of Table 2, driving and Figure 4."""
+    free = {"env_options", "time_limit", "noise"}
+    known = config.algorithm == base.algorithm and config.heads in (DDPG["heads"], MAPG["heads"])
+    return known and changed(config, base) <= free
+
+
+def changed(config: Config, base: Config) -> set[str]:
+    """What a run of the base's algorithm has otherwise, beside its seed, M and steps."""
+    if config.algorithm != base.algorithm:
+        return set()
+    bears = {name for name, field in fields(type(base)).items() if not field.metadata["host"]}
+    names = bears - {"env", "seed", "heads", "steps"}
+    return {name for name in names if getattr(config, name) != getattr(base, name)}

@@ -1,5 +1,6 @@
 """What is measured on finished runs, as rows of CSV files beside the scores."""
 
+import functools
 import pathlib
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -21,6 +22,15 @@ def identity(config: Config) -> dict[str, str]:
 
 def read(path: pathlib.Path) -> list[dict[str, str]]:
     """The rows of a file; none if there is no file."""
+    if not path.exists():
+        return []
+    state = path.stat()
+    return _read(path, (state.st_ino, state.st_mtime_ns, state.st_size))
+
+
+@functools.lru_cache(maxsize=16)
+def _read(path: pathlib.Path, state: tuple[int, ...]) -> list[dict[str, str]]:
+    """Once while the file stays as it is: a page asks for the same rows many times."""
     header, found = csv_file.read(path)
     if any(len(row) != len(header) for row in found):
         raise ValueError(f"{path} is damaged: a row has other columns than the header")
@@ -41,11 +51,11 @@ def append(path: pathlib.Path, new: Sequence[Row]) -> None:
 
 def of(path: pathlib.Path, runs: Sequence[Config]) -> list[dict[str, str]]:
     """The rows of those runs."""
-    keys = [identity(config) for config in runs]
+    keys = {tuple(identity(config).values()) for config in runs}
     found = read(path)
     if found and (lacking := set(COLUMNS) - set(found[0])):
         raise ValueError(f"{path} is damaged: it has no column {', '.join(sorted(lacking))}")
-    return [row for row in found if {k: row[k] for k in COLUMNS} in keys]
+    return [row for row in found if tuple(row[k] for k in COLUMNS) in keys]
 
 
 def missing(runs: Sequence[Config]) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from experiments.plan import Plan
+from experiments.plan import EARLIER_SEEDS, FIRST_SEED, Plan
 from mapg_jax.reports import inference as statistics
 from mapg_jax.reports.results import Result, append_csv, read_csv, read_scored, run_key
 from mapg_jax.runs.folder import RunFolder
@@ -16,6 +16,31 @@ def path(plan: Plan) -> pathlib.Path:
     return plan.results / "scores.csv"
 
 
+def read(plan: Plan) -> list[Result]:
+    """The rows of the plan's version of the protocol: those of the other are set apart.
+
+    Raises:
+      ValueError: if a row is of neither version, or does not name the machine of a run.
+    """
+    kept = []
+    for result in read_csv(path(plan)):
+        run = f"{result.env}, {result.algorithm}, M = {result.heads}, seed {result.seed}"
+        version = 1 if result.seed < EARLIER_SEEDS else 2
+        if EARLIER_SEEDS <= result.seed < FIRST_SEED:
+            raise ValueError(
+                f"{path(plan)}: {run} is of neither version of the protocol, whose seeds are below "
+                f"{EARLIER_SEEDS}, or {FIRST_SEED} and above; leave it out"
+            )
+        if version == 2 and not (result.processor and result.engine):
+            raise ValueError(
+                f"{path(plan)}: {run} does not name its processor and engine, as version 2 of the "
+                "protocol asks of a run; leave it out"
+            )
+        if version == plan.version:
+            kept.append(result)
+    return kept
+
+
 def measure(plan: Plan, folder: RunFolder) -> None:
     """Adds the score of a run, unless it is there.
 
@@ -24,7 +49,7 @@ def measure(plan: Plan, folder: RunFolder) -> None:
         those that are there.
     """
     result, score = read_scored(folder)
-    recorded = read_csv(path(plan))
+    recorded = read(plan)
     if result.run in {other.run for other in recorded}:
         return  # whatever the run was scored by since
     config = folder.config
@@ -58,7 +83,7 @@ def difference(recorded: Sequence[Result], versions: str, env: str, physics: str
 def of(plan: Plan, runs: Sequence[Config]) -> list[Result]:
     """The results of those runs that have finished, by seed."""
     wanted = {run_key(config) for config in runs}
-    found = [result for result in read_csv(path(plan)) if result.run in wanted]
+    found = [result for result in read(plan) if result.run in wanted]
     if len({result.run for result in found}) < len(found):
         raise ValueError(f"{path(plan)} holds two scores of one run; leave one out")
     return sorted(found, key=lambda result: result.seed)

@@ -59,12 +59,16 @@ def mean_action(plan: Plan) -> str:
 
 
 def beside_the_paper(plan: Plan) -> Table:
-    """Two lines a task: ours and the paper's."""
-    lines = []
+    """Three lines a task: ours, those of version 1, which none of ours are among, the paper's."""
+    lines, earlier = [], plan._replace(version=1)
     for env in plan.tasks:
         ours = [_ours(plan, env, changes) for changes in plan.arms().values()]
+        older = [_ours(earlier, env, changes) for changes in plan.arms().values()]
         papers = [_paper(env, label) for label in plan.arms()]
-        lines += [[env, "here", *ours], ["", "the paper", *papers]]
+        lines.append([env, "here", *ours])
+        if set(older) != {"missing"}:
+            lines.append(["", "version 1", *older])
+        lines.append(["", "the paper", *papers])
     return Table(("task", "", *plan.arms()), lines)
 
 
@@ -74,6 +78,12 @@ def _ours(plan: Plan, env: str, changes) -> str:
         return "missing"
     mean, std = np.mean([(r.return_mean, r.return_std) for r in found], 0)
     return f"{mean:.0f} ± {3 * std:.0f} (n = {len(found)})"
+
+
+def ratio(env: str, label: str) -> float | None:
+    """The paper's mean of an arm over that of DDPG; None where it has no such number."""
+    means = {row["arm"]: float(row["mean"]) for row in rows.read(PAPER) if row["env"] == env}
+    return means[label] / means["DDPG"] if label in means else None
 
 
 def _paper(env: str, label: str) -> str:

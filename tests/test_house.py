@@ -36,6 +36,7 @@ ROOMS = {
         "csv_file",
         "locking",
         "signals",
+        "host",
         "folder",
         "checkpoints",
         "contract",
@@ -52,7 +53,7 @@ ROOMS = {
         "train",
     ),
     "sweeps": ("grid", "groups", "forecast", "folder", "worker", "pool", "table", "sweep"),
-    "reports": ("results", "inference", "document", "tables", "plots", "report"),
+    "reports": ("results", "inference", "stratified", "document", "tables", "plots", "report"),
     "cli": (
         "console",
         "parser",

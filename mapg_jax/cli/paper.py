@@ -18,7 +18,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
     command = parser(
         "paper",
         "Runs that are in the results already are skipped, those that were cut off go on.\n"
-        "Example: mapg paper table2 --seeds 3",
+        "Example: mapg paper table2",
     )
     command.add_argument(
         "name",
@@ -28,7 +28,11 @@ def parse(flags: list[str]) -> argparse.Namespace:
     command.add_argument(
         "--steps", type=int, help="Environment steps a run; by default the preset's, 2,000,000."
     )
-    command.add_argument("--seeds", type=int, default=3, help="Seeds 0, 1, … so many of each cell.")
+    command.add_argument(
+        "--seeds",
+        type=int,
+        help="Seeds 2000, 2001, … of each cell, at most; by default as many as the protocol has.",
+    )
     command.add_argument(
         "--preset",
         choices=("paper", "smoke"),
@@ -72,7 +76,7 @@ def run(arguments: argparse.Namespace, out: TextIO) -> None:
 
 
 def _plan(arguments: argparse.Namespace) -> Plan:
-    if arguments.seeds < 1:
+    if arguments.seeds is not None and arguments.seeds < 1:
         raise ValueError(f"seeds must be at least 1, got {arguments.seeds}")
     name, steps = arguments.preset, arguments.steps
     own = [name] if name != "paper" else []

@@ -88,7 +88,7 @@ def mean_probability_of_improvement(
 
     def statistic(*samples, axis):
         pairs = zip(samples[::2], samples[1::2], strict=True)
-        return np.mean([_improvement(new, old) for new, old in pairs], axis=0)
+        return np.mean([improvement(new, old) for new, old in pairs], axis=0)
 
     return bootstrap([scores for task in tasks for scores in task], statistic, level)
 
@@ -128,6 +128,12 @@ def student(values: Scores, level: float = LEVEL) -> Estimate:
         return Estimate(centre, math.nan, math.nan)
     half = float(stats.t.ppf((1 + level) / 2, n - 1) * stats.sem(sample))
     return Estimate(centre, centre - half, centre + half)
+
+
+def share(some: int, all_: int, level: float = LEVEL) -> Estimate:
+    """A share of runs, with Wilson's interval."""
+    found = stats.binomtest(some, all_).proportion_ci(level, method="wilson")
+    return Estimate(some / all_, float(found.low), float(found.high))
 
 
 def rank_sum_p(new: Scores, old: Scores) -> float:
@@ -202,8 +208,11 @@ def bootstrap(samples: Sequence[Scores], statistic: Callable, level: float = LEV
     return Estimate(value, float(interval.low), float(interval.high))
 
 
-def _improvement(new: np.ndarray, old: np.ndarray) -> np.ndarray | np.floating:
-    """[..., n] and [..., m] → [...]."""
+def improvement(new: np.ndarray, old: np.ndarray) -> np.ndarray | np.floating:
+    """The share of pairs in which the new score is higher, ties counting half.
+
+    [..., n] and [..., m] → [...].
+    """
     new, old = new[..., :, None], old[..., None, :]
     return ((new > old) + 0.5 * (new == old)).mean(axis=(-2, -1))
 

@@ -49,7 +49,9 @@ def draw_curves(
             if arm in of_task:
                 steps, mean, low, high = mean_curve(of_task[arm], column)
                 axes.plot(steps, mean, linewidth=1.5, color=colour, linestyle=style)
-                axes.fill_between(steps, low, high, alpha=0.15, linewidth=0, color=colour)
+                axes.fill_between(steps, low, high, alpha=0.12, linewidth=0, color=colour)
+                for edge in (low, high):  # tells overlapping bands apart
+                    axes.plot(steps, edge, linewidth=0.6, color=colour, linestyle=style)
     for axes in panels:
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     _legend_below(figure, panels[0])
@@ -121,6 +123,67 @@ def draw_boxes(
         axes.set_xticks(range(len(names)), names)
         axes.set_xlim(-0.6, len(names) - 0.4)
     return figure
+
+
+def draw_forest(
+    groups: Mapping[str, Mapping[str, statistics.Estimate]], label: str, null: float = 0.5
+) -> "Figure":
+    """A panel a comparison, a line a task: estimate and interval; the last line is of all together.
+
+    Args:
+      groups: by comparison and task; the last of each is drawn as a diamond.
+      label: of the horizontal axis.
+      null: where there is no difference.
+    """
+    from matplotlib.figure import Figure
+
+    lines = [len(of) for of in groups.values()]
+    figure = Figure(figsize=(7, 0.9 + 0.3 * sum(lines) + 0.4 * len(lines)), layout="constrained")
+    panels = figure.subplots(len(lines), 1, sharex=True, squeeze=False, height_ratios=lines)[:, 0]
+    for axes, (title, estimates) in zip(panels, groups.items(), strict=True):
+        for place, estimate in enumerate(estimates.values()):
+            last = place == len(estimates) - 1
+            colour, marker = (COLOURS[2], "D") if last else (COLOURS[1], "o")
+            axes.plot([estimate.low, estimate.high], [place, place], color=colour, linewidth=1.5)
+            axes.plot(estimate.value, place, marker, color=colour, markersize=6)
+        axes.set_yticks(range(len(estimates)), list(estimates))
+        axes.set_ylim(len(estimates) - 0.5, -0.5)
+        axes.axvline(null, color="0.4", linestyle="--", linewidth=1)
+        axes.set_title(title, loc="left", fontsize=10)
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[-1].set(xlim=(-0.02, 1.02), xlabel=label)
+    return figure
+
+
+def draw_profiles(
+    tasks: Mapping[str, Mapping[str, Sequence[float]]], label: str = "share of runs above"
+) -> "Figure":
+    """A panel a task, a line an arm: the share of its runs that score above x.
+
+    Args:
+      tasks: by task and arm, the score of every seed. An arm has one colour in all panels.
+      label: of the vertical axis.
+    """
+    figure, panels = _panels(tasks, "score, x", label)
+    arms = list(dict.fromkeys(arm for of_task in tasks.values() for arm in of_task))
+    for axes, of_task in zip(panels, tasks.values(), strict=True):
+        for arm, values in of_task.items():
+            place = arms.index(arm)
+            x, y = profile(values)
+            style = STYLES[place % len(STYLES)]
+            axes.step(x, y, where="post", color=COLOURS[place % len(COLOURS)], linestyle=style,
+                      label=f"{arm} (n = {len(values)})")  # fmt: skip
+        axes.set_ylim(-0.03, 1.03)
+        axes.legend(frameon=False, fontsize=7)
+    return figure
+
+
+def profile(values: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the share of values above x: 1 before the least, 0 from the largest on."""
+    x = np.sort(np.asarray(values, float))
+    margin = 0.03 * (np.ptp(x) or abs(x[0]) or 1.0)
+    share = 1 - np.arange(1, len(x) + 1) / len(x)
+    return np.array([x[0] - margin, *x, x[-1] + margin]), np.array([1.0, *share, 0.0])
 
 
 def _panels(titles: Collection[str], below: str, beside: str) -> "tuple[Figure, list[Axes]]":

@@ -88,11 +88,12 @@ def arms_table(results: Iterable[Result]) -> str:
 
 def describe(protocol: Protocol) -> str:
     """A protocol in words."""
+    machines = "" if protocol.recorded else "; machines not recorded"
     changes = f", but {protocol.settings}" if protocol.settings else ""
     return (
         f"{protocol.steps:,} environment steps; preset {protocol.preset}{changes}; scored over "
         f"{protocol.episodes} episodes on {protocol.physics}, select {protocol.select}; "
-        f"{protocol.versions}"
+        f"{protocol.versions}{machines}"
     )
 
 
@@ -104,7 +105,8 @@ def compose(runs: Runs) -> list[Block]:
         blocks.append(
             Paragraph(
                 f"These runs follow {len(groups)} protocols: other steps, settings, physics or "
-                "versions. They are set apart; nothing is averaged or compared between them."
+                "versions, or machines that were not recorded. They are set apart; nothing is "
+                "averaged or compared between them."
             )
         )
     for number, (protocol, results) in enumerate(groups.items(), 1):

@@ -60,6 +60,11 @@ class Result(NamedTuple):
     seconds: float  # of training, by the wall clock
     date: str  # UTC day of the run's last command
     command: str
+    processor: str = ""  # this and the next four: of the process that trained; '' if not recorded
+    instructions: str = ""
+    commit: str = ""
+    threads: str = ""  # of XLA
+    engine: str = ""  # of the physics
     metrics: Mapping[str, float] = types.MappingProxyType({})  # the environment's own numbers
 
     @property
@@ -70,6 +75,9 @@ class Result(NamedTuple):
 
 COLUMNS = Result._fields[:-1]
 """Of a CSV file of results, before those of the environments' own metrics."""
+_HINTS = typing.get_type_hints(Result)
+HOST = tuple(name for name in COLUMNS if name in Result._field_defaults)
+"""Those of the process that trained, which older files do not have."""
 
 
 class Protocol(NamedTuple):
@@ -82,6 +90,7 @@ class Protocol(NamedTuple):
     physics: str
     episodes: int
     versions: str
+    recorded: bool  # whether it is known what machine trained them
 
 
 def read_run(folder: RunFolder | str | os.PathLike) -> Result:
@@ -111,7 +120,9 @@ def read_scored(folder: RunFolder) -> tuple[Result, dict[str, Any]]:
             "versions": versions(config, history),
             "date": history[-1].get("date") or _day(folder.evaluation),
             "command": str(history[0]["command"]),
-        }
+            **{name: _joined(process.get("host", {}).get(name) for process in history)
+               for name in HOST},
+        }  # fmt: skip
     with _reading(folder.evaluation) as score:
         result = Result(
             **run_key(config)._replace(steps=int(last["env_steps"]))._asdict(),
@@ -147,6 +158,7 @@ def find_runs(path: str | os.PathLike) -> list[RunFolder]:
     return found
 
 
+@functools.cache
 def run_key(config: Config) -> RunKey:
     """What tells a run from every other one."""
     return RunKey(
@@ -172,7 +184,7 @@ def versions(config: Config, history: Iterable[Mapping[str, Any]]) -> str:
     """
     names = ("gymnasium", "mujoco", *(["brax"] if config.env.startswith("brax:") else []))
     texts = (", ".join(f"{n} {process['packages'][n]}" for n in names) for process in history)
-    return "; ".join(dict.fromkeys(texts))
+    return _joined(texts)
 
 
 class Settings(NamedTuple):
@@ -234,6 +246,7 @@ def protocol(result: Result) -> Protocol:
     """What the run must have in common with another."""
     found = sort_settings(result)
     common = {**result._asdict(), "preset": found.preset, "settings": found.common}
+    common["recorded"] = bool(result.processor)
     return Protocol(*(common[name] for name in Protocol._fields))
 
 
@@ -279,10 +292,11 @@ def read_csv(path: str | os.PathLike) -> list[Result]:
     if not path.exists():
         return []
     header, rows = csv_file.read(path)
-    if tuple(header[: len(COLUMNS)]) != COLUMNS:
+    required = tuple(name for name in COLUMNS if name not in HOST)
+    if tuple(header[: len(required)]) != required:
         raise ValueError(
             f"{path} is no CSV of results: its columns are {','.join(header)[:200]}, "
-            f"not {','.join(COLUMNS)}"
+            f"not {','.join(required)}"
         )
     return [_parse(header, row, f"{path}, row {number}") for number, row in enumerate(rows, 2)]
 
@@ -303,24 +317,27 @@ def append_csv(path: str | os.PathLike, results: Sequence[Result]) -> None:
 
 def _parse(header: Sequence[str], row: Sequence[str], where: str) -> Result:
     """Texts as the types of the fields; further columns are numbers of some environment."""
-    hints = typing.get_type_hints(Result)
     if len(row) != len(header):
         raise ValueError(f"{where} has {len(row)} cells, not {len(header)}")
     values: dict[str, Any] = {"metrics": {}}
     for name, text in zip(header, row, strict=True):
         try:
             if name in COLUMNS:
-                values[name] = _finite(text) if hints[name] is float else hints[name](text)
+                kind = _HINTS[name]
+                values[name] = _finite(text) if kind is float else kind(text)
             elif text:
                 values["metrics"][name] = _finite(text)
         except ValueError:
             raise ValueError(f"{where}: {name} is no number: {text!r}") from None
     result = Result(**values)
     try:
-        registry.of_slug(result.algorithm, result.heads)
+        _known(result.algorithm, result.heads)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
     return result
+
+
+_known = functools.cache(registry.of_slug)  # which asks installed packages
 
 
 def _metrics(folder: RunFolder) -> list[dict[str, float]]:
@@ -356,6 +373,11 @@ def _summed_up(config: Config, metrics: Mapping[str, list[float]]) -> dict[str, 
     if not metrics:
         return {}
     return {own.name: own.over(metrics[own.metric]) for own in config.make_env().scored_metrics}
+
+
+def _joined(texts: Iterable[str | None]) -> str:
+    """What there is, in order, where it differs."""
+    return "; ".join(dict.fromkeys(filter(None, texts)))
 
 
 def _text(value: Any) -> str:

@@ -10,6 +10,7 @@ import pathlib
 import platform
 import shlex
 import sys
+from collections.abc import Mapping
 from typing import Any, TextIO
 
 from mapg_jax.runs import locking
@@ -93,6 +94,13 @@ class RunFolder:
         earlier = json.loads(file.read_text()).get("history", []) if file.exists() else []
         history = [*earlier, this_process()]
         write_json(file, {"format": FORMAT, "config": values_of(self.config), "history": history})
+
+    def write_host(self, host: Mapping[str, str]) -> None:
+        """What this process, the last of the history, trains by; see `host.this_host`."""
+        file = self.path / "config.json"
+        record = json.loads(file.read_text())
+        record["history"][-1]["host"] = dict(host)
+        write_json(file, record)
 
     def scored_steps(self) -> int:
         """Environment steps behind the score in evaluation.json; -1 without one to be read.

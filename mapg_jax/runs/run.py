@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.host import this_host
 from mapg_jax.runs.member import Member
 from mapg_jax.runs.metrics import MetricsFile, Row
 from mapg_jax.runs.progress import Progress
@@ -100,8 +101,10 @@ class Run:
           StoppedError: on a signal, once the state is saved.
         """
         with contextlib.ExitStack() as stack:
+            host = this_host(self.trainer.env.backend)
             for member in self.members:
                 stack.enter_context(member.folder.lock())
+                member.folder.write_host(host)
             metrics = [
                 stack.enter_context(contextlib.closing(member.metrics_file(self.env_steps)))
                 for member in self.members

@@ -60,6 +60,11 @@ class Config(Options):
         host=True,
     )
     evaluation_episodes: int = option(10, "Episodes per evaluation.", at_least=1, host=True)
+    evaluation_starts: Literal["fresh", "fixed"] = option(
+        "fresh",
+        "Starts, and draws of heads, of an evaluation: fresh ones, or those of every other one.",
+        host=True,
+    )
     final_episodes: int = option(
         100, "Episodes of the evaluation after training.", at_least=1, host=True
     )

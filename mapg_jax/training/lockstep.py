@@ -85,10 +85,11 @@ class Lockstep:
         return jax.jit(evaluate if self.alone else jax.vmap(evaluate))
 
     def evaluation_keys(self, env_steps: int) -> jax.Array:
-        """Each run's key of an evaluation: it depends on its seed and the step alone."""
+        """Each run's key of an evaluation: of its seed and, where starts are fresh, of the step."""
+        step = env_steps if self.trainer.config.evaluation_starts == "fresh" else 0
 
         def key(seed):
-            return jax.random.fold_in(run_keys(seed).evaluation, env_steps)
+            return jax.random.fold_in(run_keys(seed).evaluation, step)
 
         return key(self.configs[0].seed) if self.alone else jax.vmap(key)(self._seeds)
 

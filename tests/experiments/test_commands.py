@@ -7,7 +7,7 @@ import shlex
 import pytest
 
 from experiments.catalogue import TITLES, runs
-from experiments.plan import make_plan
+from experiments.plan import EARLIER_SEEDS, make_plan
 from mapg_jax.cli import fields, paper, train
 from mapg_jax.reports.results import Result, read_csv, settings
 from mapg_jax.training.config import preset
@@ -61,5 +61,6 @@ def test_the_command_of_a_run_makes_it(row):
 
 
 def test_the_command_of_an_experiment_has_the_run_in_its_plan():
+    """Of version 2: the commands of version 1 were of an earlier program."""
     for row in rows("paper"):
-        assert of_row(row) in planned(row.command), row.command
+        assert row.seed < EARLIER_SEEDS or of_row(row) in planned(row.command), row.command

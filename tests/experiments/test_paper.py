@@ -1,5 +1,6 @@
 """The experiments from end to end, in their smallest form."""
 
+import collections
 import dataclasses
 import json
 import shutil
@@ -8,9 +9,9 @@ import signal
 import oracles
 import pytest
 
-from experiments import overhead, page, paper, rows, scores
+from experiments import fig2, fig3, overhead, page, paper, rows, scores
 from experiments.catalogue import TITLES, Name, experiment
-from experiments.plan import A3C, MAPG, NO_NOISE, Plan, in_order, make_plan, name
+from experiments.plan import A3C, DDPG, MAPG, NO_NOISE, Plan, in_order, item, make_plan, name
 from mapg_jax.reports.results import append_csv
 from mapg_jax.runs.folder import RunFolder, write_json
 from mapg_jax.runs.member import DIVERGED
@@ -18,14 +19,19 @@ from mapg_jax.runs.signals import StoppedError
 from mapg_jax.sweeps.worker import failure_file
 from mapg_jax.training.config import Config
 
-NAMES: list[Name] = list(TITLES)
+NAMES: list[Name] = [name for name in TITLES if name != "repeats"]
 
 
 def small(folder) -> Plan:
     plan = make_plan("smoke", 320, 1, folder / "runs", folder / "results")
     base = dataclasses.replace(plan.base, evaluate_every=160)
     return plan._replace(
-        base=base, tasks=("pendulum",), heads=(10,), studied=("pendulum",), timing=(2, 0.01)
+        base=base,
+        tasks=("pendulum",),
+        heads=(10,),
+        studied=("pendulum",),
+        ruled=("pendulum",),
+        timing=(2, 0.01),
     )
 
 
@@ -49,7 +55,7 @@ def test_a_command_trains_measures_and_draws(made):
         ("a3c", 1, 320),
         *[("ddpg", 1, 320)] * 2,  # with and without noise
         ("mapg", 10, 160),
-        *[("mapg", 10, 320)] * 5,  # and three more rules
+        *[("mapg", 10, 320)] * (2 + len(made.rules())),  # and each rule
     ]
     driving = [("ddpg", 1, 320), ("mapg", 10, 320)]
     assert sorted(arms) == [("driving", *x) for x in driving] + [("pendulum", *x) for x in pendulum]
@@ -64,21 +70,23 @@ def test_a_command_trains_measures_and_draws(made):
     assert made_by in text
 
 
-@pytest.mark.parametrize("name", ["table2", "fig2", "fig3", "fig4", "torcs", "overhead", "heads"])
+@pytest.mark.parametrize(
+    "name", ["table2", "fig2", "fig3", "fig4", "torcs", "overhead", "heads", "returns"]
+)
 def test_nothing_is_missing_of_what_was_trained(made, name):
     shown = experiment(name).section(made)
     assert "issing" not in shown and any(character.isdigit() for character in shown)
 
 
 def test_the_score_is_that_of_the_run(made):
-    (config,) = paper.runs(made, ["fig3"])
+    (config,) = fig3.judged(made)
     record = json.loads((made.folder(config) / "evaluation.json").read_text())
     (result,) = scores.of(made, [config])
     assert (result.return_mean, result.episodes) == (record["mean"], len(record["returns"]))
 
 
 def test_spread_by_angle_counts_every_state(made):
-    bins = rows.of(made.measured / "fig3_bins.csv", paper.runs(made, ["fig3"]))
+    bins = rows.of(made.measured / "fig3_bins.csv", fig3.judged(made))
     assert sum(int(row["states"]) for row in bins) == 100 * 200
     episode = rows.of(made.measured / "fig3_episode.csv", paper.runs(made, ["fig3"]))
     assert abs(float(episode[0]["angle"])) <= 5  # hanging down
@@ -96,7 +104,7 @@ def test_results_are_made_again_from_the_run_folders(made, tmp_path):
 
 def test_a_folder_that_cannot_be_read_does_not_stop_the_others(made, tmp_path):
     plan = made._replace(runs=tmp_path / "runs", results=tmp_path / "results")
-    whole, broken = paper.runs(plan, ["fig2", "fig3"])
+    (whole,), (broken,) = fig2.runs(plan), fig3.judged(plan)
     shutil.copytree(made.folder(whole), plan.folder(whole))
     plan.folder(broken).mkdir()
     (plan.folder(broken) / "config.json").write_text("{")
@@ -145,7 +153,7 @@ def test_nothing_is_trained_that_would_not_compare(made, tmp_path, other):
     "other", [{"select": "mean"}, {"seed": 7}, {"physics": "gymnasium"}, {"episodes": 3}]
 )
 def test_a_score_by_another_measure_is_refused_but_one_that_is_there_stays(made, tmp_path, other):
-    (config,) = paper.runs(made, ["fig3"])
+    (config,) = fig3.judged(made)
     shutil.copytree(made.folder(config), tmp_path / "run")
     folder = RunFolder.open(tmp_path / "run")
     write_json(folder.evaluation, json.loads(folder.evaluation.read_text()) | other)
@@ -162,7 +170,7 @@ def test_a_score_by_another_measure_is_refused_but_one_that_is_there_stays(made,
 def test_the_page_shows_every_seed_there_is(made, tmp_path):
     more = made._replace(results=tmp_path)
     found = scores.of(made, paper.runs(made, ["table2"]))
-    append_csv(scores.path(more), [*found, *(result._replace(seed=1) for result in found)])
+    append_csv(scores.path(more), [*found, *(result._replace(seed=2001) for result in found)])
     assert "(n = 2)" in page.sections(more)["table2"]
 
 
@@ -174,7 +182,7 @@ def test_a_run_that_diverged_is_named_and_not_tried_again(made, tmp_path):
     for _ in range(2):
         paper.record_diverged(plan, wanted)
     assert paper.train(plan, ["fig2"], workers=1) == []
-    assert page.diverged(plan).count("pendulum, mapg, M = 10, seed 0") == 1
+    assert page.diverged(plan).count("pendulum, mapg, M = 10, seed 2000") == 1
 
 
 def test_what_is_finished_is_shown_when_training_is_stopped(made, tmp_path, monkeypatch):
@@ -202,7 +210,7 @@ def test_two_processes_do_not_train_for_the_same_results_but_one_may_look(made):
 
 def test_a_run_that_was_given_more_steps_is_named_and_not_mixed_in(tmp_path, monkeypatch):
     plan = small(tmp_path)
-    (config,) = paper.runs(plan, ["fig3"])
+    (config,) = fig3.judged(plan)
     longer = dataclasses.replace(config, steps=2 * config.steps)
     folder = oracles.finished_run(longer, plan.folder(config), [1.0, 2.0])
     monkeypatch.setattr(paper, "carry_out", lambda _, on_finished, **__: on_finished(folder) or [])
@@ -242,29 +250,70 @@ def test_overhead_is_timed_in_rounds(made):
     assert all(float(row[k]) > 0 for row in found for k in row if k.startswith("seconds"))
 
 
-def test_the_order_does_not_depend_on_the_experiment():
-    plan = Plan(Config(), 2, *[None] * 2)
+def test_the_order_is_that_of_the_protocol():
+    plan = Plan(Config(), None, *[None] * 2)
     ordered = paper.runs(plan, list(paper.TITLES))
-    assert len(set(ordered)) == len(ordered)
+    assert in_order(plan, reversed(ordered)) == ordered
     folders = [name(config, plan.base) for config in ordered]
     assert len(set(folders)) == len(folders)
-    first = ordered[:14]
-    assert {c.seed for c in first} == {0} and {c.heads for c in first} == {1, 10}
-    later = folders.index("hopper-ddpg-m1-s1")
-    assert folders.index("humanoid-mapg-m50-s0") < later < folders.index("hopper-mapg-m5-s1")
-    assert in_order(plan, reversed(ordered)) == ordered
-    more = [name(c, plan.base) for c in paper.runs(plan._replace(seeds=4), ["table2"])]
-    after = more.index("humanoid-ddpg-m1-s1")
-    assert more.index("hopper-ddpg-m1-s2") < after < more.index("humanoid-mapg-m10-s2")
+    counts = collections.Counter(item(config, plan.base) for config in ordered)
+    assert [counts[number] for number in range(1, 5)] == [76, 80, 77, 8]
+    assert counts[5] == 10 * len(plan.rules())
+    assert {config.seed for config in ordered[:8]} == {2000}
+    assert {(config.env, config.heads) for config in ordered[64:76]} == {
+        ("humanoid", 1), ("humanoid", 10),
+    }  # fmt: skip
+
+
+def test_a_cell_has_the_seeds_of_the_protocol_and_no_more():
+    plan = Plan(Config(), None, *[None] * 2)
+    sizes = {
+        (env, heads): [config.seed for config in plan.over_seeds(env, heads=heads)]
+        for env in ("hopper", "humanoid")
+        for heads in (1, 50)
+    }
+    assert {cell: len(seeds) for cell, seeds in sizes.items()} == {
+        ("hopper", 1): 8, ("hopper", 50): 5, ("humanoid", 1): 6, ("humanoid", 50): 2,
+    }  # fmt: skip
+    assert sizes["hopper", 50] == [2000, 2001, 2002, 2003, 2004]
+    assert len(plan._replace(seeds=99).over_seeds("hopper", **DDPG)) == 8
+
+
+@pytest.mark.parametrize(
+    ("seed", "processor", "message"),
+    [
+        (150, "A", "seed 150 is of neither version of the protocol, whose seeds are below 10"),
+        (2000, "", "seed 2000 does not name its processor and engine, as version 2"),
+    ],
+)
+def test_rows_of_no_version_or_no_machine_are_refused(tmp_path, seed, processor, message):
+    plan = make_plan("paper", 1600, 3, tmp_path / "runs", tmp_path)
+    found = oracles.result(seed=seed, steps=1600, processor=processor, engine="native")
+    append_csv(scores.path(plan), [found])
+    with pytest.raises(ValueError, match=message) as error:
+        paper.make(plan, ["table2"], training=False)
+    assert "\n" not in str(error.value)
+
+
+def test_the_versions_of_the_protocol_are_apart(tmp_path):
+    plan = make_plan("paper", 1600, 3, tmp_path / "runs", tmp_path)
+    for seed, score in ((0, 1.0), (2000, 5.0)):
+        made = oracles.result(seed=seed, steps=1600, return_mean=score)
+        append_csv(scores.path(plan), [made._replace(processor="A", engine="native")])
+    cell = plan.over_seeds("hopper", **MAPG)
+    assert scores.means(plan, cell) == [5.0]
+    earlier = plan._replace(version=1)
+    assert scores.means(earlier, earlier.over_seeds("hopper", **MAPG)) == [1.0]
+    assert len(scores.means(plan, earlier.over_seeds("hopper", **MAPG))) == 0
 
 
 def test_names_say_what_sets_a_run_apart():
     plan = Plan(Config(), 1, *[None] * 2)
     for changes, expected in (
-        ({"heads": 1}, "hopper-ddpg-m1-s0"),
-        (A3C, "hopper-a3c-m1-s0"),
-        ({**MAPG, **NO_NOISE}, "hopper-mapg-m10-none-s0"),
-        ({**MAPG, "gradient": "all"}, "hopper-mapg-m10-all-s0"),
-        ({**MAPG, "target": "sampled"}, "hopper-mapg-m10-sampled-s0"),
+        ({"heads": 1}, "hopper-ddpg-m1-s2000"),
+        (A3C, "hopper-a3c-m1-s2000"),
+        ({**MAPG, **NO_NOISE}, "hopper-mapg-m10-none-s2000"),
+        ({**MAPG, "gradient": "all"}, "hopper-mapg-m10-all-s2000"),
+        ({**MAPG, "tau": 0.5}, "hopper-mapg-m10-tau0.5-s2000"),
     ):
         assert name(plan.config("hopper", **changes), plan.base) == expected

@@ -1,18 +1,35 @@
 """The sections of the page and the tables of the README, from rows as runs would have written."""
 
+import pathlib
+import shutil
+
+import oracles
 import pytest
 from written import result, write, write_laps
 
-from experiments import boxes, heads, overhead, page, rows, scores
+from experiments import (
+    boxes,
+    curves,
+    effects,
+    heads,
+    overhead,
+    page,
+    pictures,
+    repeats,
+    rows,
+    scores,
+)
+from experiments.catalogue import TITLES, runs
 from experiments.plan import A3C, DDPG, MAPG, make_plan
 from mapg_jax.reports import inference as statistics
+from mapg_jax.reports import plots
 from mapg_jax.reports.results import append_csv
 
 
 @pytest.fixture
 def plan(tmp_path, monkeypatch):
     monkeypatch.setattr(statistics, "RESAMPLES", 200)
-    return make_plan("paper", 1600, 1, tmp_path / "runs", tmp_path / "results")
+    return make_plan("paper", 1600, None, tmp_path / "runs", tmp_path / "results")
 
 
 def is_picture(path):
@@ -24,8 +41,9 @@ def test_table_2_stands_beside_the_papers_numbers(plan):
     write(plan, "hopper", A3C, [50])
     text = page.sections(plan)["table2"]
     assert "| hopper | here | 300 ± 3 (n = 3) | 50 ± 3 (n = 1) | missing |" in text
+    assert "version 1" not in text
     assert "| | the paper | 603 ± 76 | 532 ± 105 |" in text
-    assert "`mapg paper table2 --seeds 3 --steps 1600`: 4 of 90 runs finished" in text
+    assert "`mapg paper table2 --steps 1600`: 4 of 164 runs finished" in text
 
 
 @pytest.mark.parametrize(("name", "env"), [("fig1", "walker2d"), ("fig5", "swimmer")])
@@ -44,7 +62,7 @@ def test_laps_and_metres(plan):
     write_laps(plan, DDPG, [0.0, 0.0, 0.0])
     write_laps(plan, MAPG, [0.5])
     text = page.sections(plan)["torcs"]
-    assert "| DDPG | 2 | 0 | 0.0 | 0% | 0 | |" in text
+    assert "| DDPG | 2002 | 0 | 0.0 | 0% | 0 | |" in text
     assert "| **DDPG** | n = 3 | 0 (0 to 0) | 0.0 (0.0 to 0.0) | 0% (0% to 0%) |" in text
     assert "| **MAPG, M = 10** | n = 1 | 500 (no interval) | 0.5 (no interval) |" in text
 
@@ -52,8 +70,7 @@ def test_laps_and_metres(plan):
 def test_noise_and_rules_have_the_interval_of_the_protocol(plan):
     """The percentile bootstrap, which cannot leave the range of the scores."""
     write(plan, "halfcheetah", MAPG, [1, 2, 6])
-    row = "| halfcheetah | 3 (1 to 6), n = 3 | missing | missing | missing |"
-    assert row in heads.rule_table(plan._replace(seeds=3)).markdown()
+    assert "| halfcheetah | 3 (1 to 6), n = 3 | missing |" in heads.rule_table(plan).markdown()
 
 
 def test_overhead_is_relative_to_one_head(plan):
@@ -70,27 +87,98 @@ def test_overhead_is_relative_to_one_head(plan):
     assert "jax 1; 2026-01-01" in text
 
 
-def test_seeds_of_one_experiment_do_not_make_others_incomplete(plan):
+def test_every_seed_there_is_is_shown(plan):
+    """Whatever was trained last."""
     write(plan, "hopper", DDPG, [1, 2, 3, 4])
-    write_laps(plan, DDPG, [0.0])
-    sections = page.sections(plan)
-    assert "`mapg paper fig1 --seeds 4" in sections["fig1"]
-    assert "`mapg paper torcs --seeds 1 --steps 1600`: 1 of 2 runs" in sections["torcs"]
+    assert "(n = 4)" in page.sections(plan._replace(seeds=1))["table2"]
+
+
+def test_effects_and_profiles_are_those_of_the_scores(plan):
+    write(plan, "hopper", DDPG, [1, 2, 3])
+    write(plan, "hopper", MAPG, [2.5, 5, 6])
+    write(plan, "halfcheetah", DDPG, [2100, 2200, 7000])
+    text = page.sections(plan)["effects"]
+    (found,) = effects.forest(plan).values()
+    assert list(found) == ["hopper (n = 3 + 3)", "together"]
+    assert found["together"].value == pytest.approx(8 / 9)
+    assert effects.profile(plan)["hopper"] == {"DDPG": [1, 2, 3], "M = 10": [2.5, 5, 6]}
+    assert is_picture(plan.results / "effects.png") and is_picture(plan.results / "profiles.png")
+    assert "| DDPG | 33% (6% to 79%) | 1 of 3 |" in text  # Wilson's
+
+
+def test_a_profile_falls_by_one_run_at_each_score():
+    x, share = plots.profile([5.0, 1.0, 2.0])
+    assert list(x[1:-1]) == [1, 2, 5] and x[0] < 1 and x[-1] > 5
+    assert list(share) == pytest.approx([1, 2 / 3, 1 / 3, 0, 0])
+
+
+def test_version_1_is_shown_apart(plan):
+    write(plan, "hopper", DDPG, [100])
+    old = result(plan.config("hopper", 0, **DDPG), 7, processor="")
+    append_csv(scores.path(plan), [old])
+    text = page.sections(plan)["table2"]
+    assert "| hopper | here | 100 ± 3 (n = 1) |" in text
+    assert "| | version 1 | 7 ± 3 (n = 1) |" in text
+
+
+def test_a_run_of_version_1_made_again_is_compared_with_itself(plan, tmp_path):
+    """The third evaluation is another one; no other number has its score."""
+    ddpg, _ = repeats.repeated(plan)
+    append_csv(scores.path(plan), [result(ddpg, 7, processor="")])
+    numbers = dict.fromkeys(curves.COLUMNS, 0.0)
+    lines = [{**rows.identity(ddpg), **numbers, "return_mean": x} for x in (0.5, 1.0, 9.0, 2.0)]
+    rows.append(plan.measured / curves.FILE, lines)
+    folder = oracles.finished_run(ddpg, tmp_path / "again", [1.0, 3.0])
+    repeats.measure(plan, folder)
+    text = repeats.section(plan)
+    assert "| halfcheetah, DDPG, seed 0 | 7 | 2 | the first 2 of 4 |" in text
+    assert scores.read(plan) == []
+
+
+def test_the_page_begins_with_the_answer(plan):
+    write(plan, "hopper", DDPG, [100])
+    text = page.write(plan, page.sections(plan)).read_text()
+    assert f"1 of {len(runs(plan, list(TITLES)))} runs are there" in text
+    assert text.index("**Answer.** Not yet judged: C1a") < text.index("## The claims")
 
 
 def test_the_readme_gets_its_tables_between_its_comments(plan, tmp_path):
     append_csv(scores.path(plan), [result(plan.config("hopper", **DDPG), 7)])
     readme = tmp_path / "README.md"
     readme.write_text(
-        "before\n<!-- table 2 -->\nold\n<!-- /table 2 -->\nbetween\n"
+        "before\n<!-- answer -->\n<!-- /answer -->\n"
+        "<!-- table 2 -->\nold\n<!-- /table 2 -->\nbetween\n"
         "<!-- claims -->\n<!-- /claims -->\nafter\n"
     )
     page.write_headline(plan, readme)
+    assert page.answer(plan) in page.abstract(plan)
+    assert page.answer(plan) in readme.read_text().splitlines()
     lines = readme.read_text().splitlines()
     assert "old" not in lines and "| hopper | here | 7 ± 3 (n = 1) |" in readme.read_text()
     assert [line for line in lines if line in ("before", "between", "after")] == [
         "before", "between", "after",
     ]  # fmt: skip
-    assert lines.index("between") < lines.index("| | claim | verdict |") < lines.index("after")
+    assert (
+        lines.index("between")
+        < lines.index("| | claim | version 1 | version 2 |")
+        < lines.index("after")
+    )
     page.write_headline(plan, readme)
     assert readme.read_text().splitlines() == lines
+
+
+def test_the_committed_page_is_that_of_the_committed_rows(tmp_path):
+    """Its text word for word, and the numbers of its pictures; not their bytes."""
+    committed = pathlib.Path(__file__).parents[2] / "results"
+    again = tmp_path / "results"
+    drawn = shutil.ignore_patterns("*.png", pictures.FOLDER, page.FILE)
+    shutil.copytree(committed, again, ignore=drawn)
+    shutil.copy(committed.parent / "README.md", tmp_path)
+    plan = make_plan("paper", None, None, tmp_path / "runs", again)
+    page.write(plan, page.sections(plan))
+    assert (again / page.FILE).read_text() == (committed / page.FILE).read_text()
+    numbers = {file.name: file.read_text() for file in (committed / pictures.FOLDER).glob("*")}
+    assert {file.name: file.read_text() for file in (again / pictures.FOLDER).glob("*")} == numbers
+    readme = (committed.parent / "README.md").read_text()
+    page.write_headline(plan, tmp_path / "README.md")
+    assert (tmp_path / "README.md").read_text() == readme

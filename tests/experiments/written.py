@@ -3,19 +3,21 @@
 import numpy as np
 
 from experiments import curves, fig2, rows, scores
-from experiments.plan import DRIVING, MAPG
+from experiments.plan import DRIVING, FIRST_SEED, MAPG
 from mapg_jax.reports.results import Result, append_csv, run_key
 
 
 def result(config, score, **extra) -> Result:
     rest = {"return_std": 1.0, "episodes": 100, "select": "uniform", "physics": "native",
-            "versions": "", "seconds": 1.0, "date": "2026-01-01", "command": ""}  # fmt: skip
+            "versions": "", "seconds": 1.0, "date": "2026-01-01", "command": "",
+            "processor": "A", "engine": "native"}  # fmt: skip
     return Result(**run_key(config)._asdict(), return_mean=float(score), **{**rest, **extra})
 
 
 def write(plan, env, changes, values):
     """Scores of a cell, a value a seed."""
-    found = [result(plan.config(env, seed, **changes), x) for seed, x in enumerate(values)]
+    cell = [plan.config(env, FIRST_SEED + k, **changes) for k in range(len(values))]
+    found = [result(config, x) for config, x in zip(cell, values, strict=True)]
     append_csv(scores.path(plan), found)
 
 
@@ -24,14 +26,16 @@ def write_laps(plan, changes, shares):
     found = [
         result(plan.config("driving", seed, **DRIVING, **changes), 100 * share, physics="jax",
                metrics={"distance_mean": 1000 * share, "laps_mean": share, "lap_share": share})
-        for seed, share in enumerate(shares)
+        for seed, share in enumerate(shares, FIRST_SEED)
     ]  # fmt: skip
     append_csv(scores.path(plan), found)
 
 
 def write_curve(plan, env, seed, **columns):
     """Of M = 10; on Pendulum that of Figure 2."""
-    config = fig2.runs(plan)[seed] if env == "pendulum" else plan.config(env, seed, **MAPG)
+    config = (
+        fig2.runs(plan)[seed] if env == "pendulum" else plan.config(env, FIRST_SEED + seed, **MAPG)
+    )
     length = len(next(iter(columns.values())))
     columns = {name: np.zeros(length) for name in curves.COLUMNS} | columns
     lines = [

@@ -287,9 +287,9 @@ def test_curves_have_an_arm_a_line_and_say_how_many_seeds():
     figure = plotting.draw_curves(tasks)
     (legend,) = figure.legends
     assert [t.get_text() for t in legend.get_texts()] == ["DDPG (n = 2)", "M = 10 (n = 1 to 2)"]
-    colours = [
-        line.get_color() for axes in figure.axes for line in axes.lines if len(line.get_xdata())
-    ]
+    lines = [line for axes in figure.axes for line in axes.lines if len(line.get_xdata())]
+    assert len(lines) == 9  # with the edges of their bands
+    colours = [line.get_color() for line in lines if line.get_linewidth() > 1]
     assert len(colours) == 3
     assert colours[0] != colours[1] == colours[2]
     assert [axes.get_title() for axes in figure.axes] == ["hopper", "swimmer"]

@@ -12,6 +12,7 @@ import pytest
 import mapg_jax
 from mapg_jax.reports.results import (
     COLUMNS,
+    HOST,
     UnfinishedError,
     append_csv,
     find_runs,
@@ -163,6 +164,26 @@ def test_a_csv_reads_back_equal(tmp_path):
     assert read_csv(tmp_path / "none.csv") == []
 
 
+def test_rows_that_say_nothing_of_their_machine_are_read_beside_others(tmp_path):
+    path = tmp_path / "results.csv"
+    older = [RESULT._replace(metrics={"laps_mean": 0.5})]
+    values = [str(getattr(RESULT, name)) for name in OLDER]
+    path.write_text(f"{HEADER}\n" + ",".join([*(f'"{value}"' for value in values), "0.5"]) + "\n")
+    assert read_csv(path) == older
+    newer = RESULT._replace(seed=2000, processor="A", commit="1a2b", threads="1", engine="native")
+    append_csv(path, [newer])
+    assert read_csv(path) == [*older, newer]
+
+
+def test_a_row_names_every_machine_that_trained_the_run(tmp_path):
+    folder = oracles.finished_run(Config(env="hopper", steps=1000), tmp_path / "run", [1.0, 2.0])
+    for processor in ("A", "B", "B"):
+        folder.write_config()
+        folder.write_host({"processor": processor, "threads": "1", "commit": ""})
+    result = read_run(folder)
+    assert (result.processor, result.threads, result.commit) == ("A; B", "1", "")
+
+
 def test_a_row_with_another_score_is_refused_whole(tmp_path):
     path = tmp_path / "results.csv"
     append_csv(path, [RESULT])
@@ -174,7 +195,8 @@ def test_a_row_with_another_score_is_refused_whole(tmp_path):
     assert path.read_bytes() == before
 
 
-HEADER = ",".join(COLUMNS) + ",laps_mean"
+OLDER = [name for name in COLUMNS if name not in HOST]
+HEADER = ",".join([*OLDER, "laps_mean"])
 BAD_ROWS = [
     ("a,b\n1,2\n", "is no CSV of results: its columns are a,b"),
     ("", "is no CSV of results"),

@@ -1,6 +1,9 @@
 """A run on the host: its rows, resumed bit for bit, stopped where it diverges."""
 
 import dataclasses
+import json
+import os
+import platform
 import shutil
 
 import jax.numpy as jnp
@@ -11,6 +14,7 @@ import pytest
 from mapg_jax.runs.checkpoints import Checkpoints
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.member import DivergedError
+from mapg_jax.runs.memory import prepare
 from mapg_jax.runs.metrics import read_metrics
 from mapg_jax.runs.train import begin, take_up
 
@@ -30,6 +34,24 @@ def test_metrics_have_a_row_an_evaluation(finished_run):
         assert -1000 < row["training_return"] < 0
         assert 0 < row["spread"] < 1
         assert row["q_gap"] > 0
+
+
+def test_the_folder_names_what_trained_the_run(finished_run):
+    record = json.loads((finished_run.path / "config.json").read_text())
+    host = record["history"][-1]["host"]
+    assert set(host) == {"processor", "instructions", "commit", "threads", "engine"}
+    assert host["engine"] == "jax" and host["threads"] == os.environ["NPROC"]
+    assert host["instructions"].startswith(platform.machine())
+
+
+def test_fixed_starts_are_those_of_every_evaluation():
+    fixed = dataclasses.replace(oracles.RUN, evaluation_starts="fixed")
+    keys = {
+        config.evaluation_starts: [prepare(config).evaluation_keys(steps) for steps in (200, 400)]
+        for config in (fixed, oracles.RUN)
+    }
+    assert (keys["fixed"][0] == keys["fixed"][1]).all()
+    assert (keys["fresh"][0] != keys["fresh"][1]).any()
 
 
 def test_columns_that_depend_on_the_clock_say_so(finished_run, tmp_path):

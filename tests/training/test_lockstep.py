@@ -178,7 +178,7 @@ def changed(config: Config, name: str) -> Config:
     others = {
         "env": "hopper", "env_options": ("g=9.81",), "engine": "jax",
         "gradient": "all", "target": "sampled", "truncation": "terminal", "noise": "none",
-        "hidden": (8, 8), "time_limit": 7, "noise_scale_last": 0.3,
+        "hidden": (8, 8), "evaluation_starts": "fixed", "time_limit": 7, "noise_scale_last": 0.3,
     }  # fmt: skip
     value = getattr(config, name)
     if name in others:

@@ -1,0 +1,164 @@
+"""Claims that one arm beats another: over their tasks together, and on each of them."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments import curves, scores, table2
+from experiments.plan import Plan
+from experiments.verdicts import CONTRADICTED, SUPPORTED, UNDECIDED, Verdict, undecidable, waiting
+from mapg_jax.reports.stratified import effect, least_p, power, van_elteren
+from mapg_jax.training.config import Config
+
+ALPHA = 0.05
+Changes = Mapping[str, Any]
+Pair = tuple[np.ndarray, np.ndarray]
+"""Scores of our arm and of theirs on one task."""
+Score = Callable[[Plan, Sequence[Config]], np.ndarray]
+
+
+class Comparison(NamedTuple):
+    """What a claim of two arms is about."""
+
+    claims: tuple[str, str]
+    """Its names: over the tasks together, and on each."""
+    text: str
+    envs: Sequence[str]
+    ours: Changes
+    theirs: Changes
+    above: bool = True
+    """Whether ours is claimed to score above theirs, or below."""
+    column: str = ""
+    """Ours in the paper's Table 2, if it is there; theirs is DDPG then."""
+
+    def runs(self, plan: Plan) -> list[Config]:
+        """All that it is judged on."""
+        arms = (self.ours, self.theirs)
+        return [c for env in self.envs for arm in arms for c in plan.over_seeds(env, **arm)]
+
+    def pairs(self, plan: Plan, score: Score = scores.means) -> dict[str, Pair]:
+        """By task; one that lacks an arm is left out."""
+        found = {}
+        for env in self.envs:
+            ours, theirs = (plan.over_seeds(env, **arm) for arm in (self.ours, self.theirs))
+            found[env] = score(plan, ours), score(plan, theirs)
+        return {env: pair for env, pair in found.items() if all(map(len, pair))}
+
+    def signed(self, pairs: Mapping[str, Pair]) -> list[Pair]:
+        """The pairs, so that the claim is that ours are above."""
+        sign = 1 if self.above else -1
+        return [(sign * ours, sign * theirs) for ours, theirs in pairs.values()]
+
+    def ratio(self, env: str) -> float | None:
+        """The paper's mean of ours over its mean of theirs."""
+        return table2.ratio(env, self.column)
+
+
+def judge(plan: Plan, comparison: Comparison) -> list[Verdict]:
+    """Both forms of a claim."""
+    pairs = comparison.pairs(plan)
+    together, each = comparison.claims
+    texts = f"{comparison.text}, over the tasks together", f"{comparison.text}, on every task"
+    left = waiting(plan, comparison.runs(plan))
+    if set(pairs) != set(comparison.envs):
+        missing = f"missing: {', '.join(env for env in comparison.envs if env not in pairs)}"
+        verdict = left or undecidable(0)
+        return [
+            Verdict(claim, text, verdict, evidence=missing)
+            for claim, text in zip((together, each), texts, strict=True)
+        ]
+    signed = comparison.signed(pairs)
+    verdicts = [left or _together(signed), left or _each(signed)]
+    chances = ["", ""]
+    if UNDECIDED in verdicts:
+        chances = [f"{chance:.0%}" for chance in power(_moved(comparison, pairs))]
+    chances = [c if v == UNDECIDED else "" for c, v in zip(chances, verdicts, strict=True)]
+    late = comparison.pairs(plan, curves.late)
+    effects = {env: effect([pair]) for env, pair in pairs.items()}
+    shares = "; ".join(f"{env} {shown:.2f}" for env, shown in effects.items())
+    return [
+        Verdict(together, texts[0], verdicts[0], f"P {effect(list(pairs.values())):.2f}",
+                chances[0], _tests(comparison, pairs, late)),
+        Verdict(each, texts[1], verdicts[1], f"P: {shares}", chances[1],
+                _tests_of_each(comparison, pairs, late)),
+    ]  # fmt: skip
+
+
+def _together(signed: Sequence[Pair]) -> str:
+    """The verdict of the stratified test."""
+    found = van_elteren(signed)
+    if found.either < ALPHA:
+        return SUPPORTED if found.statistic > 0 else CONTRADICTED
+    sizes = [(len(ours), len(theirs)) for ours, theirs in signed]
+    return UNDECIDED if 2 * least_p(sizes) < ALPHA else undecidable(min(map(min, sizes)))
+
+
+def _each(signed: Sequence[Pair]) -> str:
+    """The verdict of one-sided tests on every task."""
+    found = [van_elteren([pair]) for pair in signed]
+    if all(test.above < ALPHA for test in found):
+        return SUPPORTED
+    if min(test.below for test in found) < ALPHA / len(found):
+        return CONTRADICTED
+    sizes = [(len(ours), len(theirs)) for ours, theirs in signed]
+    least = [least_p([size]) for size in sizes]
+    reachable = max(least) < ALPHA or min(least) < ALPHA / len(least)
+    return UNDECIDED if reachable else undecidable(min(map(min, sizes)))
+
+
+def _moved(comparison: Comparison, pairs: Mapping[str, Pair]) -> list[Pair]:
+    """Ours moved so far as the paper says, or one standard deviation within cells."""
+    moved = {}
+    for env, (ours, theirs) in pairs.items():
+        centred = ours - ours.mean()
+        ratio = comparison.ratio(env)
+        if ratio is None:
+            within = np.concatenate([centred, theirs - theirs.mean()])
+            step = np.sqrt(np.square(within).sum() / max(1, len(within) - 2))
+            mean = theirs.mean() + (step if comparison.above else -step)
+        else:
+            mean = ratio * theirs.mean()
+        moved[env] = centred + mean, theirs
+    return comparison.signed(moved)
+
+
+def _tests(comparison: Comparison, pairs: Mapping[str, Pair], late: Mapping[str, Pair]) -> str:
+    """p of the stratified test, by both scores, and of the paper's size."""
+    texts = [f"p = {van_elteren(comparison.signed(pairs)).either:.2g}", _counts(pairs)]
+    if set(late) == set(pairs):
+        found = van_elteren(comparison.signed(late))
+        side = "above" if found.statistic > 0 else "below"
+        side = side if comparison.above else {"above": "below", "below": "above"}[side]
+        texts.insert(1, f"by the second score p = {found.either:.2g}, {side}")
+    if size := _size(comparison, pairs):
+        texts.append(size)
+    return "; ".join(texts)
+
+
+def _size(comparison: Comparison, pairs: Mapping[str, Pair]) -> str:
+    """Whether the difference is smaller than the paper's; '' where it has no number."""
+    ratios = {env: comparison.ratio(env) for env in pairs}
+    if None in ratios.values():
+        return ""
+    scaled = {env: (ours, ratios[env] * theirs) for env, (ours, theirs) in pairs.items()}
+    p = van_elteren(comparison.signed(scaled)).below
+    return f"{'' if p < ALPHA else 'not '}smaller than the paper's difference, p = {p:.2g}"
+
+
+def _tests_of_each(comparison: Comparison, pairs, late: Mapping[str, Pair]) -> str:
+    """One-sided p's of every task: for the claim, and against it."""
+
+    def line(of: Mapping[str, Pair]) -> str:
+        found = {env: van_elteren(comparison.signed({env: pair})) for env, pair in of.items()}
+        return "; ".join(
+            f"{env} {test.above:.2g} / {test.below:.2g}" for env, test in found.items()
+        )
+
+    text = f"p for / against: {line(pairs)}"
+    return f"{text}. By the second score: {line(late)}" if late else text
+
+
+def _counts(pairs: Mapping[str, Pair]) -> str:
+    """Seeds of both arms on each task."""
+    return "n = " + ", ".join(f"{len(ours)} + {len(theirs)}" for ours, theirs in pairs.values())

@@ -1,0 +1,81 @@
+"""Effects over the tasks as a forest plot, performance profiles, and HalfCheetah's two humps."""
+
+from experiments import claims, fig4, pictures, rows, scores, table2
+from experiments.plan import Plan
+from mapg_jax.reports import inference as statistics
+from mapg_jax.reports.document import Table
+from mapg_jax.reports.plots import draw_forest, draw_profiles
+from mapg_jax.reports.stratified import effect
+from mapg_jax.training.config import Config
+
+HUMP = 2_200
+"""HalfCheetah's lower hump ends below it."""
+
+
+def runs(plan: Plan) -> list[Config]:
+    """Those of Table 2 and Figure 4."""
+    return [*table2.runs(plan), *fig4.runs(plan)]
+
+
+def section(plan: Plan) -> str:
+    """Two pictures and a table."""
+    groups, profiles = forest(plan), profile(plan)
+    if not groups:
+        return rows.missing(runs(plan))
+    label = "P, the probability of improvement"
+    pictures.save(plan, draw_forest(groups, label), "effects")
+    pictures.save(plan, draw_profiles(profiles), "profiles")
+    text = (
+        "![Probability of improvement by task](effects.png)\n\n"
+        "P of the first named arm over the second, by task and over the tasks together (diamond; "
+        "tasks weighed as van Elteren's test weighs them), with 95 % intervals over seeds; n of "
+        "both arms stands beside the task. The dashed line is ½: neither arm is the better one. "
+        "Tasks that lack an arm are left out.\n\n"
+        "![Performance profiles](profiles.png)\n\n"
+        "The share of an arm's runs that score above x. A curve further right is better; n seeds."
+    )
+    shares = humps(plan)
+    return f"{text}\n\n{shares}" if shares else text
+
+
+def forest(plan: Plan) -> dict[str, dict[str, statistics.Estimate]]:
+    """Claim → task → its effect; the last is that of the tasks together."""
+    groups = {}
+    for comparison in claims.comparisons(plan):
+        pairs = comparison.pairs(plan)
+        if pairs:
+            found = {
+                f"{env} (n = {len(pair[0])} + {len(pair[1])})": effect([pair])
+                for env, pair in pairs.items()
+            }
+            found["together"] = effect(list(pairs.values()))
+            groups[comparison.text] = found
+    return groups
+
+
+def profile(plan: Plan) -> dict[str, dict[str, list[float]]]:
+    """Task → arm → scores."""
+    found = {}
+    for env in plan.tasks:
+        arms = {
+            label: list(scores.means(plan, plan.over_seeds(env, **changes)))
+            for label, changes in plan.arms().items()
+        }
+        if arms := {label: values for label, values in arms.items() if values}:
+            found[env] = arms
+    return found
+
+
+def humps(plan: Plan) -> str:
+    """The share of HalfCheetah's runs above HUMP, by arm; '' without runs."""
+    arms = profile(plan._replace(tasks=("halfcheetah",))).get("halfcheetah", {})
+    lines = []
+    for label, values in arms.items():
+        above = sum(bool(value > HUMP) for value in values)
+        lines.append(
+            [label, f"{statistics.share(above, len(values)):.0%}", f"{above} of {len(values)}"]
+        )
+    if not lines:
+        return ""
+    title = f"HalfCheetah, runs that score above {HUMP:,}, with Wilson's 95 % interval:"
+    return f"{title}\n\n{Table(('arm', 'share', 'runs'), lines).markdown()}"

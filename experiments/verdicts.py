@@ -1,0 +1,54 @@
+"""What can be said of a claim."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from experiments import rows, scores
+from experiments.plan import Plan
+from mapg_jax.reports.inference import LEAST_SEEDS
+from mapg_jax.training.config import Config
+
+SUPPORTED, CONTRADICTED = "supported", "contradicted"
+UNDECIDED, NOT_TESTED = "undecided", "not tested"
+
+
+class Verdict(NamedTuple):
+    """One line of the ledger."""
+
+    claim: str
+    text: str
+    verdict: str
+    effect: str = ""
+    """With its interval."""
+    power: str = ""
+    """Of an undecided one, where it compares two arms."""
+    evidence: str = ""
+
+
+def waiting(plan: Plan, runs: Sequence[Config]) -> str:
+    """What is said while runs of a claim are missing; '' once all are there, or diverged."""
+    ended = len(scores.of(plan, runs)) + len(rows.of(plan.measured / rows.DIVERGED, runs))
+    wanted = len(set(runs))
+    return "" if ended >= wanted else f"not yet: {ended} of {wanted} runs"
+
+
+def undecidable(seeds: int) -> str:
+    """What is said where no outcome of so many seeds could have decided."""
+    return f"cannot be decided with {seeds} seeds"
+
+
+def by_seeds(seeds: int, supported: bool, contradicted: bool) -> str:
+    """The verdict of numbers that each seed has."""
+    if seeds < LEAST_SEEDS:
+        return undecidable(seeds)
+    return SUPPORTED if supported else CONTRADICTED if contradicted else UNDECIDED
+
+
+def count(*numbers: Sequence[float] | np.ndarray) -> str:
+    """How many seeds, and how many of them lack one of their numbers."""
+    without = sum(not all(map(math.isfinite, of_seed)) for of_seed in zip(*numbers, strict=True))
+    text = f"n = {len(numbers[0])}"
+    return f"{text}, {without} of them without such a number" if without else text
