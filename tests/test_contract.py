@@ -21,7 +21,8 @@ LEARNS = {
         "tau": 0.05, "critic_learning_rate": 1e-2, "actor_learning_rate": 1e-2,
         "temperature_learning_rate": 0.05,
     },
-    "naf": {
+    "naf": {  # the highest peak is worth V, the others may lie below
+        "heads": 1,
         "hidden": (16, 16), "batch_size": 32, "replay_size": 2_000, "updates_per_step": 1.0,
         "tau": 0.05, "learning_rate": 1e-2, "noise_scale": 0.5,
     },

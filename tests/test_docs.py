@@ -30,7 +30,7 @@ def run(command, folder):
     return done.stdout
 
 
-def test_the_algorithm_trains_sweeps_and_keeps_the_contract(folder):
+def test_the_algorithm_trains_sweeps_and_keeps_the_contract(folder, quick_compilation):
     (shell,) = (text for mark, text in BLOCKS if mark == "shell")
     for line in shell.splitlines():
         name, *arguments = line.split()

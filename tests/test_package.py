@@ -58,7 +58,9 @@ def foreign(folder: pathlib.Path, name: str) -> pathlib.Path:
     return package
 
 
-def test_a_sweep_runs_from_a_folder_with_packages_of_our_names(installed, tmp_path):
+def test_a_sweep_runs_from_a_folder_with_packages_of_our_names(
+    installed, tmp_path, quick_compilation
+):
     foreign(tmp_path, "envs")
     foreign(tmp_path, "experiments")
     done = run([installed / "mapg", *SWEEP.split()], tmp_path)

@@ -44,7 +44,8 @@ def draw_by_value(
     centred = values - mean(values, heads)[..., None]
     sigma = jnp.sqrt(mean(jnp.square(centred), heads))[..., None]
     # Equal values, as of one head, are all as probable.
-    weight = jax.nn.softmax(centred / (temperature * sigma + 1e-12), where=mask)
+    scaled = jnp.where(mask, centred / (temperature * sigma + 1e-12), -jnp.inf)
+    weight = jax.nn.softmax(scaled)
     below = jnp.cumsum(weight, -1) < jax.random.uniform(key, (*values.shape[:-1], 1))
     return jnp.minimum((below & mask).sum(-1), heads - 1)
 

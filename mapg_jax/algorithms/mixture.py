@@ -24,4 +24,6 @@ def log_density(
     r"""$\log \frac{1}{M} \sum_m N(x; \mu_m, \sigma_m^2)$ of K points a state."""
     x, mean, log_std = x[..., :, None, :], mean[..., None, :, :], log_std[..., None, :, :]
     each = log_gaussian(*jnp.broadcast_arrays(x, mean, log_std))
-    return jax.nn.logsumexp(each, axis=-1, where=in_use(heads, each.shape)) - jnp.log(heads)
+    # Padding is taken out before the exponential, where its gradient would be 0 times infinity.
+    each = jnp.where(in_use(heads, each.shape), each, -jnp.inf)
+    return jax.nn.logsumexp(each, axis=-1) - jnp.log(heads)

@@ -21,8 +21,8 @@ from mapg_jax.training.lockstep import Lockstep
 from mapg_jax.training.trainer import Trainer, make_trainer
 
 CLOSE = 1e-3
-"""Of a leaf's largest number: batched and padded programs add in another order, and Adam's first
-steps are as long for a gradient of rounding errors as for any other."""
+"""Of a leaf's largest number or of 0.1: batched and padded programs add in another order, and
+Adam's first steps are as long for a gradient of rounding errors as for any other."""
 TINY = {
     "heads": 3,
     "environments": 4,
@@ -166,7 +166,7 @@ def _equal(what: str, found: Any, wanted: Any, close: float = 0.0) -> None:
         if jnp.issubdtype(x.dtype, jax.dtypes.prng_key):
             x, y = jax.random.key_data(x), jax.random.key_data(y)
         x, y = np.asarray(x), np.asarray(y)
-        bound = close * max(1e-3, np.abs(y).max(initial=0)) if x.dtype.kind == "f" else 0
+        bound = close * max(0.1, np.abs(y).max(initial=0)) if x.dtype.kind == "f" else 0
         same = np.array_equal(x, y, equal_nan=x.dtype.kind == "f")
         assert same or np.abs(x - y).max() <= bound, (
             f"{what} differs in {jax.tree_util.keystr(path)}"

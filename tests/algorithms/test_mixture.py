@@ -86,3 +86,10 @@ def test_what_ppo_stores_is_the_sample_of_the_head_that_acted():
         assert abs(len(sample) - 10_000) < 6 * np.sqrt(30_000 * 2 / 9)
         assert abs(sample.mean() - mean[m]) < 6 * error
         assert abs(sample.std() - 1) < 6 * error
+
+
+def test_padding_that_towers_over_the_mixture_leaves_its_gradient_finite():
+    """A padded component whose density at x is e^200 times the others'."""
+    mean, log_std = jnp.asarray([[1.0], [0.0]]), jnp.asarray([[-3.0], [-3.0]])
+    slope = jax.grad(lambda x: log_density(x, mean, log_std, jnp.int32(1))[0])(jnp.zeros((1, 1)))
+    np.testing.assert_allclose(slope, [[np.exp(6.0)]], rtol=1e-5)

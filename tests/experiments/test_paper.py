@@ -41,7 +41,7 @@ def test_steps_that_no_whole_number_of_turns_makes_are_refused(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def made(tmp_path_factory, quick_compilation):
     """A plan whose runs are trained: those of all experiments, but of Table 2 Pendulum alone."""
     plan = small(tmp_path_factory.mktemp("paper"))
     assert paper.make(plan, NAMES, workers=2).failures == []
