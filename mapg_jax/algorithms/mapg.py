@@ -96,6 +96,16 @@ class Mapg(Deterministic):
     Metrics: ClassVar = UpdateMetrics
     experience: ClassVar[Experience] = "replay"
     presets: ClassVar = {
+        "reference": {  # CleanRL's DDPG
+            "actor_learning_rate": 3e-4,
+            "critic_learning_rate": 3e-4,
+            "critic_l2": 0.0,
+            "tau": 0.005,
+            "noise": "gaussian",
+            "noise_scale": 0.1,
+            "learning_starts": 25_000,
+            "random_start": True,
+        },
         "parallel": {  # the proportions of PQL's DDPG (Li et al. 2023): fast targets, a ladder
             "actor_learning_rate": 5e-4,
             "critic_learning_rate": 5e-4,
@@ -105,7 +115,7 @@ class Mapg(Deterministic):
             "noise": "gaussian",
             "noise_scale": 0.05,
             "noise_scale_last": 0.8,
-        }
+        },
     }
 
     @classmethod

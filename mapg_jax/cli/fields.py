@@ -8,7 +8,7 @@ from typing import Any
 from mapg_jax.algorithms import registry
 from mapg_jax.cli.parser import Parser, add_fields
 from mapg_jax.training import plugins
-from mapg_jax.training.config import PRESETS, Config, config_type, fields, preset
+from mapg_jax.training.config import PRESETS, Config, config_type, fields, owners_of, preset
 
 
 def settle(flags: list[str]) -> tuple[str, list[str]]:
@@ -56,9 +56,8 @@ def refuse_foreign_flags(parser: Parser, flags: Sequence[str], algorithms: Seque
         name = flag.partition("=")[0].removeprefix("--").replace("-", "_")
         if not flag.startswith("--") or flag.partition("=")[0] in parser.flags():
             continue
-        owners = [other for other in registry.names() if name in fields(config_type(other))]
-        if owners:
+        if owners := owners_of(name):
             raise ValueError(
-                f"--{name.replace('_', '-')} is an option of {' and '.join(owners)}, "
+                f"--{name.replace('_', '-')} is an option of {owners}, "
                 f"not of {' and '.join(algorithms)}"
             )

@@ -84,7 +84,7 @@ def _one(hint: Any) -> Callable[[str], Any]:
     if origin in (typing.Union, types.UnionType):
         words, kinds = _words(arguments)
         (kind,) = kinds
-        return lambda text: words[text.lower()] if text.lower() in words else _one(kind)(text)
+        return lambda text: _word_or(text, words, kind)
     if origin is tuple:
         return lambda text: tuple(map(_one(arguments[0]), _items(text)))
     if origin is Literal:
@@ -104,6 +104,16 @@ def _words(kinds: tuple) -> tuple[dict[str, Any], list[Any]]:
         words["none"] = None
     others = (x for x in kinds if x is not types.NoneType and typing.get_origin(x) is not Literal)
     return words, list(others)
+
+
+def _word_or(text: str, words: dict[str, Any], kind: Any) -> Any:
+    if text.lower() in words:
+        return words[text.lower()]
+    try:
+        return _one(kind)(text)
+    except argparse.ArgumentTypeError as error:
+        wrong, _, got = str(error).partition(", got ")
+        raise argparse.ArgumentTypeError(f"{wrong} or {' or '.join(words)}, got {got}") from None
 
 
 def _items(text: str) -> list[str]:

@@ -199,19 +199,34 @@ def fields(cls: type[Config]) -> dict[str, dataclasses.Field]:
     return {field.name: field for field in dataclasses.fields(cls) if field.init}
 
 
+def owners_of(name: str) -> str:
+    """The algorithms whose runs have that field, as a phrase; empty if there are none."""
+    *others, last = [x for x in registry.names() if name in fields(config_type(x))] or [""]
+    return f"{', '.join(others)} and {last}" if others else last
+
+
 def refuse_foreign(cls: type[Config], name: str) -> None:
     """Raises ValueError, which says whose it is, if a configuration has no such field."""
     if name in fields(cls):
         return
-    owners = [other for other in registry.names() if name in fields(config_type(other))]
-    if owners:
-        raise ValueError(f"{name} is an option of {' and '.join(owners)}, not of {cls.algorithm}")
+    if owners := owners_of(name):
+        raise ValueError(f"{name} is an option of {owners}, not of {cls.algorithm}")
     raise ValueError(f"{name} is no option of a run; {cls.algorithm} has {', '.join(fields(cls))}")
 
 
-Preset = Literal["paper", "parallel", "smoke"]
+Preset = Literal["paper", "reference", "parallel", "smoke"]
 PRESETS: Mapping[str, Mapping[str, Any]] = {
     "paper": {},
+    "reference": {
+        # What published settings share; what each algorithm adds stands in its own file.
+        "steps": 1_000_000,
+        "environments": 1,
+        "updates_per_step": 1.0,
+        "batch_size": 256,
+        "hidden": (256, 256),
+        "layer_norm": False,
+        "normalize": False,
+    },
     "parallel": {
         # Thousands of environments on an accelerator, 16 samples per environment step (Li et al.
         # 2023); what each algorithm adds stands in its own file.
@@ -238,8 +253,9 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
         "final_episodes": 4,
     },
 }
-"""By name, what differs from the defaults: the paper's set-up, one for accelerators, one that ends
-in seconds. An algorithm takes of it what it has, and then its own `presets`."""
+"""By name, what differs from the defaults: the paper's set-up, published ones, one for
+accelerators, one that ends in seconds. An algorithm takes of it what it has, and then its own
+`presets`."""
 
 
 def preset(name: str = "paper", algorithm: str = "mapg", **changes: Any) -> Config:

@@ -110,9 +110,12 @@ REFUSALS = [
     ("--workers 0", "workers must be at least 1, got 0"),
     ("--gradient stored al", "'al'"),
     ("--stepz 3", "stepz"),
-    ("--algorithm a3c --tau 0.1", "--tau is an option of mapg, not of a3c"),
-    ("--algorithm mapg a4c", "algorithm must be one of mapg, a3c, got 'a4c'"),
-    ("--preset papr", "preset must be one of paper, parallel, smoke, got 'papr'"),
+    ("--algorithm a3c --tau 0.1", "--tau is an option of mapg, td3, sac and naf, not of a3c"),
+    (
+        "--algorithm mapg a4c",
+        "algorithm must be one of mapg, a3c, td3, sac, naf, ppo, trpo, got 'a4c'",
+    ),
+    ("--preset papr", "preset must be one of paper, reference, parallel, smoke, got 'papr'"),
 ]
 
 

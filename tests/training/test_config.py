@@ -83,9 +83,12 @@ def test_nonsense_is_refused_of_a3c_as_well(changes, message):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"algorithm": "ppo"}, "algorithm must be one of mapg, a3c, got 'ppo'"),
+        (
+            {"algorithm": "a4c"},
+            "algorithm must be one of mapg, a3c, td3, sac, naf, ppo, trpo, got 'a4c'",
+        ),
         ({"gradient": "al"}, "gradient must be one of stored, resampled, all, got 'al'"),
-        ({"target": "max"}, "target must be one of mean, sampled, got 'max'"),
+        ({"target": "best"}, "target must be one of mean, sampled, max, got 'best'"),
         ({"truncation": "end"}, "truncation must be one of bootstrap, terminal, got 'end'"),
         ({"noise": "pink"}, "noise must be one of ou, gaussian, none, got 'pink'"),
     ],
@@ -134,10 +137,10 @@ def test_a_run_has_what_all_have_and_what_its_algorithm_brings():
 @pytest.mark.parametrize(
     ("algorithm", "name", "message"),
     [
-        ("a3c", "tau", "tau is an option of mapg, not of a3c"),
-        ("a3c", "heads", "heads is an option of mapg, not of a3c"),
-        ("a3c", "batch_size", "batch_size is an option of mapg, not of a3c"),
-        ("mapg", "rollout_steps", "rollout_steps is an option of a3c, not of mapg"),
+        ("a3c", "tau", "tau is an option of mapg, td3, sac and naf, not of a3c"),
+        ("a3c", "heads", "heads is an option of mapg, td3, sac, naf, ppo and trpo, not of a3c"),
+        ("a3c", "batch_size", "batch_size is an option of mapg, td3, sac and naf, not of a3c"),
+        ("mapg", "rollout_steps", "rollout_steps is an option of a3c, ppo and trpo, not of mapg"),
         ("mapg", "entropy_weight", "entropy_weight is an option of a3c, not of mapg"),
         ("mapg", "stepz", "stepz is no option of a run; mapg has .*steps"),
     ],
@@ -202,7 +205,9 @@ def test_every_preset_is_a_run_of_every_algorithm(name, algorithm):
 
 
 def test_an_unknown_preset_is_refused():
-    with pytest.raises(ValueError, match="preset must be one of paper, parallel, smoke, got 'pap'"):
+    with pytest.raises(
+        ValueError, match="preset must be one of paper, reference, parallel, smoke, got 'pap'"
+    ):
         preset("pap")
 
 
