@@ -42,16 +42,16 @@ def test_every_algorithm_is_listed():
 
 @pytest.mark.parametrize("name", LEARNS)
 @pytest.mark.parametrize(
-    "check",
-    [
-        contract.check_shapes,
-        contract.check_resuming,
-        contract.check_lockstep,
-        contract.check_lowering,
-    ],
+    "check", [contract.check_shapes, contract.check_resuming, contract.check_lowering]
 )
 def test_an_algorithm_keeps_the_contract(name, check):
     check(contract.tiny(name))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LEARNS)
+def test_runs_of_an_algorithm_go_in_lockstep(name):
+    contract.check_lockstep(contract.tiny(name))
 
 
 @pytest.mark.parametrize("name", LEARNS)

@@ -24,6 +24,7 @@ def device_put_replicated(monkeypatch):
     monkeypatch.setattr(jax, "device_put_replicated", replicate, raising=False)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("device_put_replicated")
 def test_braxs_ppo_trains():
     evaluations = []

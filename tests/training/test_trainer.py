@@ -109,8 +109,8 @@ def test_noise_restarts_with_each_episode():
     ends = starts = 0
     for _ in range(40):
         ended = np.asarray(state.env.done) == 1
-        assert not np.asarray(state.explorer)[ended].any()
-        assert np.asarray(state.explorer)[~ended].all()
+        assert not np.asarray(state.explorer.noise)[ended].any()
+        assert np.asarray(state.explorer.noise)[~ended].all()
         ends, starts = ends + ended.sum(), starts + (~ended).sum()
         state = trainer.jitted_run(state, 1)
     assert ends > 20
