@@ -3,6 +3,7 @@
 import collections
 import csv
 import dataclasses
+import itertools
 import math
 import pathlib
 import shutil
@@ -13,7 +14,7 @@ import numpy as np
 
 from envs.base import Env, State, with_episodes
 from mapg_jax.algorithms.base import Transition
-from mapg_jax.algorithms.mapg import UpdateMetrics
+from mapg_jax.algorithms.deterministic import UpdateMetrics
 from mapg_jax.reports.results import Result
 from mapg_jax.runs.checkpoints import Checkpoints
 from mapg_jax.runs.folder import RunFolder, write_json
@@ -325,6 +326,15 @@ class Ddpg:
 def spread(proposals) -> float:
     """Standard deviation over the M proposals [M, A], averaged over the action's dimensions."""
     return float(np.mean([np.std(column) for column in np.asarray(proposals, np.float64).T]))
+
+
+def distance(proposals) -> float:
+    """Mean distance between two of the M proposals [M, A], over the diagonal of [-1, 1]^A."""
+    rows = np.asarray(proposals, np.float64)
+    pairs = itertools.combinations(range(len(rows)), 2)
+    return float(np.mean([np.linalg.norm(rows[i] - rows[j]) for i, j in pairs])) / (
+        2 * math.sqrt(rows.shape[1])
+    )
 
 
 def q_gap(values) -> float:

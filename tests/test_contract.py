@@ -21,8 +21,7 @@ LEARNS = {
         "tau": 0.05, "critic_learning_rate": 1e-2, "actor_learning_rate": 1e-2,
         "temperature_learning_rate": 0.05,
     },
-    "naf": {  # the highest peak is worth V, the others may lie below
-        "heads": 1,
+    "naf": {
         "hidden": (16, 16), "batch_size": 32, "replay_size": 2_000, "updates_per_step": 1.0,
         "tau": 0.05, "learning_rate": 1e-2, "noise_scale": 0.5,
     },
@@ -51,7 +50,9 @@ def test_an_algorithm_keeps_the_contract(name, check):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LEARNS)
 def test_runs_of_an_algorithm_go_in_lockstep(name):
-    contract.check_lockstep(contract.tiny(name))
+    """A turn of PPO is 40 steps of Adam; TRPO's step has four times the error of the one before."""
+    turns = {"ppo": 5, "trpo": 2}.get(name, 20)
+    contract.check_lockstep(contract.tiny(name), turns)
 
 
 @pytest.mark.parametrize("name", LEARNS)

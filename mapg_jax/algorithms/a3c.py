@@ -11,12 +11,13 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from mapg_jax.algorithms.base import Experience, Explored, Rollout, Transition, traced
 from mapg_jax.algorithms.descent import Params, adam, minimize
 from mapg_jax.algorithms.networks import GaussianActor, StateCritic
 from mapg_jax.algorithms.options import Options, option
+from mapg_jax.algorithms.returns import n_step_returns
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -64,33 +65,6 @@ class UpdateMetrics(NamedTuple):
     action_std: jax.Array  # []
     critic_gradient_norm: jax.Array  # []
     actor_gradient_norm: jax.Array  # []
-
-
-def n_step_returns(
-    reward: Float[Array, "T N"],
-    discount: Float[Array, "T N"],
-    ended: Bool[Array, "T N"],
-    next_value: Float[Array, "T N"],
-) -> Float[Array, "T N"]:
-    r"""The longest return that each step of the rollout has.
-
-    $R_t = r_t + \gamma_t R_{t+1}$, where $V(s_{t+1})$ stands for $R_{t+1}$ if the episode ended at
-    t or t is the last step (Mnih et al. 2016, Algorithm S3).
-
-    Args:
-      reward: $r_t$, reward units per step.
-      discount: $\gamma_t$, 0 where the episode terminated (truncation keeps it).
-      ended: whether the episode ended at t, either way.
-      next_value: $V(s_{t+1})$ of what the step observed, before any reset.
-    """
-
-    def back(following, row):
-        reward, discount, ended, next_value = row
-        following = reward + discount * jnp.where(ended, next_value, following)
-        return following, following
-
-    rows = reward, discount, ended, next_value
-    return jax.lax.scan(back, next_value[-1], rows, reverse=True)[1]
 
 
 def log_probability(
@@ -204,7 +178,7 @@ class A3c:
         return jnp.clip(self.sample(learner.actor, observation, key), -1.0, 1.0)
 
     def proposals(
-        self, learner: LearnerState, observation: Float[Array, "*B D"]
+        self, learner: LearnerState, hyper: Hyperparameters, observation: Float[Array, "*B D"]
     ) -> tuple[Float[Array, "*B 1 A"], Float[Array, "*B 1"]]:
         """The mean, as the one action that is proposed, and V as its value."""
         action = self.gaussian(learner.actor, observation)[0]
@@ -213,6 +187,7 @@ class A3c:
     def q_values(
         self,
         learner: LearnerState,
+        hyper: Hyperparameters,
         observation: Float[Array, "*B D"],
         actions: Float[Array, "*B K A"],
     ) -> Float[Array, "*B K"]:

@@ -122,7 +122,7 @@ class Algorithm(Protocol):
         ...
 
     def proposals(
-        self, learner: Any, observation: Float[Array, "*B D"]
+        self, learner: Any, hyper: Any, observation: Float[Array, "*B D"]
     ) -> tuple[Float[Array, "*B M A"], Float[Array, "*B M"]]:
         """The M actions proposed for a state, and the critic's value of each."""
         ...
@@ -130,6 +130,7 @@ class Algorithm(Protocol):
     def q_values(
         self,
         learner: Any,
+        hyper: Any,
         observation: Float[Array, "*B D"],
         actions: Float[Array, "*B K A"],
     ) -> Float[Array, "*B K"]:

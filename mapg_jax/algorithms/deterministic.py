@@ -1,131 +1,42 @@
-"""What algorithms with deterministic heads share: the heads, how one acts, and what they climb.
-
-The rules by which heads are kept apart are options here, and functions in `heads` and `repulsion`;
-docs/heads.md says what each is good for.
-"""
+"""What algorithms with deterministic heads share: the heads, how one acts, and what they climb."""
 
 import dataclasses
-from typing import Any, ClassVar, Literal, NamedTuple, cast, get_args
+from typing import Any, ClassVar, NamedTuple, cast, get_args
 
 import jax
 import jax.numpy as jnp
 import optax
+from flax import struct
 from jaxtyping import Array, Float, Int, Integer, PRNGKeyArray
 
 from mapg_jax.algorithms import exploration, repulsion
 from mapg_jax.algorithms import heads as heads_
-from mapg_jax.algorithms.base import Explored, Transition
-from mapg_jax.algorithms.descent import Params
-from mapg_jax.algorithms.exploration import Noise
-from mapg_jax.algorithms.networks import LAST_LAYER_SCALE, Actor, Critic
-from mapg_jax.algorithms.options import Options, option
-from mapg_jax.algorithms.repulsion import Repulsion
-
-GradientRule = Literal["stored", "resampled", "all"]
-"""Which heads an actor update reaches: the one that acted, a fresh one a sample, or all."""
-TargetRule = Literal["mean", "sampled", "max"]
-"""What the target bootstraps from: the mean over the heads (Eq. 6), one drawn, or the best."""
-
-WHOLE_EPISODE = 2**31 - 1  # steps; no episode is as long
+from mapg_jax.algorithms.base import Experience, Explored, Transition, traced
+from mapg_jax.algorithms.descent import Params, adam
+from mapg_jax.algorithms.head_options import HeadNumbers, meant
+from mapg_jax.algorithms.networks import Actor, Critic
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class DeterministicOptions(Options):
-    """The numbers of an actor with deterministic heads, and of the critic that they climb."""
+class LearnerState(struct.PyTreeNode):
+    """All that an update changes."""
 
-    tau: float = option(
-        0.01, "τ, the step of the target networks: θ' ← θ' + τ(θ - θ').", above=0, at_most=1
-    )
-    max_gradient_norm: float | None = option(
-        None, "Gradients are scaled down to this norm; none by default.", above=0
-    )
-    noise: Noise = option(
-        "ou",
-        "Exploration noise added to the action: Ornstein-Uhlenbeck, Gaussian or none.",
-    )
-    noise_scale: float = option(0.2, "σ of the noise, in units of [-1, 1].", at_least=0)
-    noise_scale_last: float | None = option(
-        None,
-        "σ in the last environment; those between take even steps. By default all have one σ.",
-        at_least=0,
-    )
-    random_start: bool = option(
-        False, "Before the first update, act by uniformly random actions instead of the heads."
-    )
-    gradient: GradientRule = option(
-        "stored",
-        "Heads an actor update reaches: the one that acted, a fresh one per sample, or all.",
-        of_heads=True,
-    )
-    target: TargetRule = option(
-        "mean",
-        "The target bootstraps from the mean over heads (Eq. 6), from one head per sample, or from "
-        "the one that the target critic values most.",
-        of_heads=True,
-    )
-    behaviour: heads_.Behaviour = option(
-        "uniform",
-        "The head that acts in training: drawn uniformly, the best by the critic, or drawn by a "
-        "softmax of its values.",
-        of_heads=True,
-    )
-    temperature: float = option(
-        1.0,
-        "Of that softmax, in units of the standard deviation of Q over a state's heads.",
-        above=0,
-        of_heads=True,
-    )
-    hold: int | Literal["episode"] = option(
-        1, "Steps for which a head keeps acting, or episode.", at_least=1, of_heads=True
-    )
-    head_spread: float = option(
-        LAST_LAYER_SCALE,
-        "The heads' biases start within ± this, before the tanh.",
-        above=0,
-        of_heads=True,
-    )
-    repulsion: Repulsion = option(
-        "none",
-        "What keeps a state's proposals apart: nothing, Stein's direction, or inverse distance.",
-        of_heads=True,
-    )
-    repulsion_weight: float = option(
-        0.3,
-        "α of the repulsion, in units of the standard deviation of Q over a batch.",
-        at_least=0,
-        of_heads=True,
-    )
-    repulsion_updates: int = option(
-        0,
-        "Updates over which that weight falls to 0 in a straight line; 0 keeps it as it is.",
-        at_least=0,
-        of_heads=True,
-    )
-    floor: float | None = option(
-        None,
-        "A head is credited for what it adds to the heads before it, smoothed by this, in units of "
-        "the standard deviation of Q over a batch; none by default.",
-        above=0,
-        of_heads=True,
-    )
+    actor: Params
+    critic: Params
+    actor_target: Params
+    critic_target: Params
+    actor_optimizer: optax.OptState
+    critic_optimizer: optax.OptState
+    updates: jax.Array  # [] i32
 
 
-def numbers(options: DeterministicOptions) -> dict[str, Any]:
-    """The traced numbers that are not written as they are meant."""
-    last = options.noise_scale_last
-    return {
-        "noise_scale_last": options.noise_scale if last is None else last,
-        "hold": WHOLE_EPISODE if options.hold == "episode" else options.hold,
-    }
+class UpdateMetrics(NamedTuple):
+    """Diagnostics of one update; the next one never reads them."""
 
-
-def make_networks(options: DeterministicOptions, action_size: int) -> tuple[Actor, Critic]:
-    """Actor and critic with those options, for actions of A numbers."""
-    shared = {"hidden": options.hidden, "layer_norm": options.layer_norm}
-    actor = Actor(
-        heads=options.heads, action_size=action_size, spread=options.head_spread, **shared
-    )
-    return actor, Critic(**shared)
+    critic_loss: jax.Array  # []
+    actor_loss: jax.Array  # []
+    q_mean: jax.Array  # []
+    critic_gradient_norm: jax.Array  # []
+    actor_gradient_norm: jax.Array  # []
 
 
 class Explorer(NamedTuple):
@@ -147,6 +58,9 @@ class Strength(NamedTuple):
 class Deterministic:
     """The static part: networks, optimiser and rules. A subclass says how the critic learns."""
 
+    Hyper: ClassVar[Any] = HeadNumbers
+    Metrics: ClassVar = UpdateMetrics
+    experience: ClassVar[Experience] = "replay"
     selects: ClassVar[tuple[str, ...]] = get_args(heads_.Select)
 
     actor: Actor
@@ -155,6 +69,43 @@ class Deterministic:
     """Scales gradients; the learning rates are applied after it."""
     options: Any
     """Of them, only what is no traced number is read."""
+
+    @classmethod
+    def make(cls, options: Any, action_size: int) -> Any:
+        """The algorithm with those options, for actions of A numbers."""
+        shared = {"hidden": options.hidden, "layer_norm": options.layer_norm}
+        actor = Actor(
+            heads=options.heads, action_size=action_size, spread=options.head_spread, **shared
+        )
+        return cls(actor, Critic(**shared), adam(options.max_gradient_norm), options)
+
+    @classmethod
+    def hyper(cls, options: Any) -> Any:
+        """The traced numbers; without a last σ all environments have the first."""
+        return traced(cls.Hyper, options, **meant(options))
+
+    def init(self, key: PRNGKeyArray, observation_size: int) -> LearnerState:
+        """Fresh networks, their targets equal to them."""
+        actor_key, critic_key = jax.random.split(key)
+        observation = jnp.zeros((1, observation_size))
+        actor = self.actor.init(actor_key, observation)
+        actions = jnp.zeros((1, 1, self.actor.action_size))
+        critic = self.init_critic(critic_key, observation, actions)
+        return LearnerState(
+            actor=actor,
+            critic=critic,
+            actor_target=actor,
+            critic_target=critic,
+            actor_optimizer=self.optimizer.init(actor),
+            critic_optimizer=self.optimizer.init(critic),
+            updates=jnp.zeros((), jnp.int32),
+        )
+
+    def init_critic(
+        self, key: PRNGKeyArray, observation: Float[Array, "1 D"], actions: Float[Array, "1 1 A"]
+    ) -> Params:
+        """What the critic learns, fresh."""
+        return self.critic.init(key, observation, actions)
 
     def explorer(self, environments: int) -> Explorer:
         """No noise, and a head to be drawn."""
@@ -185,10 +136,8 @@ class Deterministic:
         noise = exploration.advance(self.options.noise, noise_key, explorer.noise, scales)
         action = jnp.clip(self.action(learner.actor, observation, head) + noise, -1.0, 1.0)
         if self.options.random_start:
-            anything = jax.random.uniform(noise_key, action.shape, minval=-1.0, maxval=1.0)
-            action = jnp.where(learner.updates == 0, anything, action)
-        stored = head.astype(jnp.uint8 if self.actor.heads <= 256 else jnp.int32)
-        return Explored(action, stored, Explorer(noise, head, left))
+            action = exploration.random_start(key, learner.updates, action)
+        return Explored(action, heads_.stored(head, self.actor.heads), Explorer(noise, head, left))
 
     def behave(
         self, learner: Any, hyper: Any, observation: Float[Array, "N D"], key: PRNGKeyArray
@@ -196,7 +145,7 @@ class Deterministic:
         """The heads that would act next."""
         if self.options.behaviour == "uniform":
             return heads_.draw(key, hyper.heads, (len(observation),))
-        _, values = self.proposals(learner, observation)
+        _, values = self.proposals(learner, hyper, observation)
         if self.options.behaviour == "argmax-q":
             return heads_.best(values, hyper.heads)
         return heads_.draw_by_value(key, values, hyper.temperature, hyper.heads)
@@ -210,11 +159,11 @@ class Deterministic:
         select: heads_.Select,
     ) -> Float[Array, "*B A"]:
         """One action a state; see `heads.choose`."""
-        proposals, values = self.proposals(learner, observation)
+        proposals, values = self.proposals(learner, hyper, observation)
         return heads_.choose(select, key, proposals, values, hyper.heads)
 
     def proposals(
-        self, learner: Any, observation: Float[Array, "*B D"]
+        self, learner: Any, hyper: Any, observation: Float[Array, "*B D"]
     ) -> tuple[Float[Array, "*B M A"], Float[Array, "*B M"]]:
         """The actions of all heads, and Q of each."""
         actions = self.actions(learner.actor, observation)
@@ -223,6 +172,7 @@ class Deterministic:
     def q_values(
         self,
         learner: Any,
+        hyper: Any,
         observation: Float[Array, "*B D"],
         actions: Float[Array, "*B K A"],
     ) -> Float[Array, "*B K"]:

@@ -5,7 +5,7 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 Noise = Literal["ou", "gaussian", "none"]
 
@@ -45,3 +45,13 @@ def scales(
     r"""σ of every environment: $\sigma_i = \sigma_1 + (\sigma_N - \sigma_1) \frac{i-1}{N-1}$."""
     ramp = np.arange(environments, dtype=np.float32) / max(1, environments - 1)
     return first + (last - first) * ramp[:, None]
+
+
+def random_start(
+    key: PRNGKeyArray, updates: Int[Array, ""], action: Float[Array, "N A"]
+) -> Float[Array, "N A"]:
+    """Uniformly random actions before the first update, and `action` from then on."""
+    anything = jax.random.uniform(
+        jax.random.fold_in(key, 2), action.shape, minval=-1.0, maxval=1.0
+    )  # of no stream that `split` makes of the key
+    return jnp.where(updates == 0, anything, action)

@@ -26,6 +26,11 @@ def draw(key: PRNGKeyArray, heads: Int[Array, ""], shape: tuple[int, ...]) -> In
     return jax.random.randint(key, shape, 0, heads)
 
 
+def stored(head: Int[Array, "*B"], heads: int) -> Integer[Array, "*B"]:
+    """Heads' numbers as the replay keeps them: in a byte where M, here static, fits one."""
+    return head.astype(jnp.uint8 if heads <= 256 else jnp.int32)
+
+
 def draw_by_value(
     key: PRNGKeyArray,
     values: Float[Array, "*B M"],

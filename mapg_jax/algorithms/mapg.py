@@ -4,27 +4,22 @@ All functions are pure: what an update changes is the `LearnerState` it returns.
 """
 
 import dataclasses
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
-import optax
-from flax import struct
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from mapg_jax.algorithms.base import Experience, Transition, traced
-from mapg_jax.algorithms.descent import Params, adam, kernel_l2, minimize, towards
-from mapg_jax.algorithms.deterministic import (
-    Deterministic,
-    DeterministicOptions,
-    make_networks,
-    numbers,
-)
+from mapg_jax.algorithms.base import Transition
+from mapg_jax.algorithms.descent import Params, kernel_l2, minimize, towards
+from mapg_jax.algorithms.deterministic import Deterministic, LearnerState, UpdateMetrics
+from mapg_jax.algorithms.head_options import HeadNumbers, HeadOptions
 from mapg_jax.algorithms.options import option
+from mapg_jax.algorithms.returns import td_target
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class MapgOptions(DeterministicOptions):
+class MapgOptions(HeadOptions):
     """The numbers of MAPG; the defaults are those of the code the paper ran on."""
 
     actor_learning_rate: float = option(1e-4, "Of Adam, for the actor.", above=0)
@@ -32,59 +27,10 @@ class MapgOptions(DeterministicOptions):
     critic_l2: float = option(1e-2, "λ of the critic's weight penalty λ/2 Σ‖W‖².", at_least=0)
 
 
-class Hyperparameters(struct.PyTreeNode):
+class Hyperparameters(HeadNumbers):
     """Numbers an update reads; traced, so that the runs of one compiled program may differ."""
 
-    heads: jax.Array  # [] i32, M
-    discount: jax.Array  # [], γ
-    tau: jax.Array  # [], τ
-    actor_learning_rate: jax.Array  # []
-    critic_learning_rate: jax.Array  # []
     critic_l2: jax.Array  # []
-    noise_scale: jax.Array  # [], σ in the first environment
-    noise_scale_last: jax.Array  # [], σ in the last one
-    temperature: jax.Array  # [], in standard deviations of Q over a state's heads
-    hold: jax.Array  # [] i32 steps
-    repulsion_weight: jax.Array  # [], in standard deviations of Q over a batch
-    repulsion_updates: jax.Array  # [] i32, until it is 0; 0 for never
-
-
-class LearnerState(struct.PyTreeNode):
-    """All that an update changes."""
-
-    actor: Params
-    critic: Params
-    actor_target: Params
-    critic_target: Params
-    actor_optimizer: optax.OptState
-    critic_optimizer: optax.OptState
-    updates: jax.Array  # [] i32
-
-
-class UpdateMetrics(NamedTuple):
-    """Diagnostics of one update; the next one never reads them."""
-
-    critic_loss: jax.Array  # []
-    actor_loss: jax.Array  # []
-    q_mean: jax.Array  # []
-    critic_gradient_norm: jax.Array  # []
-    actor_gradient_norm: jax.Array  # []
-
-
-def td_target(
-    reward: Float[Array, "B"], discount: Float[Array, "B"], next_value: Float[Array, "B"]
-) -> Float[Array, "B"]:
-    r"""One-step return.
-
-    $y_b = r_b + \gamma_b\, V'(s'_b)$ with $V' = \frac{1}{M} \sum_m Q'(s', \rho'_m(s'))$ (MAPG,
-    Eq. 6; DDPG where M = 1).
-
-    Args:
-      reward: $r$, reward units per step.
-      discount: $\gamma_b$, 0 where the episode terminated (truncation keeps it).
-      next_value: $V'$ of the target networks.
-    """
-    return reward + discount * next_value
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,8 +39,6 @@ class Mapg(Deterministic):
 
     Options: ClassVar = MapgOptions
     Hyper: ClassVar = Hyperparameters
-    Metrics: ClassVar = UpdateMetrics
-    experience: ClassVar[Experience] = "replay"
     presets: ClassVar = {
         "reference": {  # CleanRL's DDPG
             "actor_learning_rate": 3e-4,
@@ -118,17 +62,6 @@ class Mapg(Deterministic):
         },
     }
 
-    @classmethod
-    def make(cls, options: MapgOptions, action_size: int) -> "Mapg":
-        """The algorithm with those options, for actions of A numbers."""
-        actor, critic = make_networks(options, action_size)
-        return cls(actor, critic, adam(options.max_gradient_norm), options)
-
-    @classmethod
-    def hyper(cls, options: MapgOptions) -> Hyperparameters:
-        """The traced numbers; without a last σ all environments have the first."""
-        return traced(Hyperparameters, options, **numbers(options))
-
     @staticmethod
     def label(heads: int) -> str:
         """M = 1 is DDPG."""
@@ -138,23 +71,6 @@ class Mapg(Deterministic):
     def slug(heads: int) -> str:
         """M = 1 is DDPG."""
         return "ddpg" if heads == 1 else "mapg"
-
-    def init(self, key: PRNGKeyArray, observation_size: int) -> LearnerState:
-        """Fresh networks, their targets equal to them."""
-        actor_key, critic_key = jax.random.split(key)
-        observation = jnp.zeros((1, observation_size))
-        actor = self.actor.init(actor_key, observation)
-        actions = jnp.zeros((1, 1, self.actor.action_size))
-        critic = self.critic.init(critic_key, observation, actions)
-        return LearnerState(
-            actor=actor,
-            critic=critic,
-            actor_target=actor,
-            critic_target=critic,
-            actor_optimizer=self.optimizer.init(actor),
-            critic_optimizer=self.optimizer.init(critic),
-            updates=jnp.zeros((), jnp.int32),
-        )
 
     def next_value(
         self,

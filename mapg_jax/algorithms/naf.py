@@ -5,6 +5,7 @@ maximum of Q. All functions are pure.
 """
 
 import dataclasses
+import functools
 from typing import ClassVar, NamedTuple, cast, get_args
 
 import jax
@@ -18,9 +19,9 @@ from mapg_jax.algorithms import heads as heads_
 from mapg_jax.algorithms.base import Experience, Explored, Transition, traced
 from mapg_jax.algorithms.descent import Params, adam, minimize, towards
 from mapg_jax.algorithms.exploration import Noise
-from mapg_jax.algorithms.mapg import td_target
 from mapg_jax.algorithms.networks import Peaks
 from mapg_jax.algorithms.options import Options, option
+from mapg_jax.algorithms.returns import td_target
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -200,27 +201,27 @@ class Naf:
         select: heads_.Select,
     ) -> Float[Array, "*B A"]:
         """One action a state: a peak drawn uniformly, or the highest (`argmax-q`); see `choose`."""
-        proposals, values = self.proposals(learner, observation)
+        proposals, values = self.proposals(learner, hyper, observation)
         return heads_.choose(select, key, proposals, values, hyper.heads)
 
     def proposals(
-        self, learner: LearnerState, observation: Float[Array, "*B D"]
+        self, learner: LearnerState, hyper: Hyperparameters, observation: Float[Array, "*B D"]
     ) -> tuple[Float[Array, "*B M A"], Float[Array, "*B M"]]:
-        """The peaks and their heights; Q there is as much, unless another peak towers over it."""
-        landscape = self.landscape(learner.critic, observation)
-        return landscape.peaks, landscape.level[..., None] + landscape.height
+        """The peaks, and Q at each: its height, unless another peak towers over it there."""
+        peaks = self.landscape(learner.critic, observation).peaks
+        return peaks, self.q_values(learner, hyper, observation, peaks)
 
     def q_values(
         self,
         learner: LearnerState,
+        hyper: Hyperparameters,
         observation: Float[Array, "*B D"],
         actions: Float[Array, "*B K A"],
     ) -> Float[Array, "*B K"]:
-        """Q of any K actions a state, of all peaks."""
+        """Q of any K actions a state."""
         landscape = self.landscape(learner.critic, observation)
-        heads = jnp.int32(self.critic.heads)
-        each = jax.vmap(lambda action: q_value(landscape, action, heads), in_axes=-2, out_axes=-1)
-        return each(actions)
+        one = functools.partial(q_value, landscape, heads=hyper.heads)
+        return jax.vmap(one, in_axes=-2, out_axes=-1)(actions)
 
     def critic_loss(
         self,

@@ -7,16 +7,17 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from mapg_jax.algorithms import heads as heads_
 from mapg_jax.algorithms import normalization
-from mapg_jax.algorithms.base import Explored, Rollout
-from mapg_jax.algorithms.descent import Descended, Params, minimize
+from mapg_jax.algorithms.base import Experience, Explored, Rollout, traced
+from mapg_jax.algorithms.descent import Descended, Params, adam, minimize
 from mapg_jax.algorithms.mixture import log_density, log_gaussian
 from mapg_jax.algorithms.networks import GaussianHeads, StateCritic
 from mapg_jax.algorithms.normalization import NormalizerState
 from mapg_jax.algorithms.options import Options, option
+from mapg_jax.algorithms.returns import generalized_advantages
 
 RETURNS_FLOOR = 1e-4  # of the variance of returns
 
@@ -30,6 +31,9 @@ class OnPolicyOptions(Options):
 
     rollout_steps: int = option(
         128, "n, steps of every environment between updates; N · n make a batch.", at_least=1
+    )
+    max_gradient_norm: float | None = option(
+        None, "The gradient of a network is scaled down to this norm; none by default.", above=0
     )
     trace: float = option(0.95, "λ of the generalised advantages.", at_least=0, at_most=1)
     gradient: GradientRule = option(
@@ -70,42 +74,12 @@ class Batch(NamedTuple):
     log_density: Float[Array, "B"]  # of the sample, by the policy that drew it
 
 
-def generalized_advantages(
-    reward: Float[Array, "T N"],
-    discount: Float[Array, "T N"],
-    ended: Bool[Array, "T N"],
-    value: Float[Array, "T N"],
-    next_value: Float[Array, "T N"],
-    trace: Float[Array, ""],
-) -> Float[Array, "T N"]:
-    r"""$A_t = \sum_{k \ge 0} (\prod_{i<k} \gamma_{t+i} \lambda) \delta_{t+k}$.
-
-    $\delta_t = r_t + \gamma_t V(s_{t+1}) - V(s_t)$ (Schulman et al. 2016, Eq. 16); the sum goes up
-    to the episode's end.
-
-    Args:
-      reward: $r_t$, reward units per step.
-      discount: $\gamma_t$, 0 where the episode terminated (truncation keeps it).
-      ended: whether the episode ended at t, either way.
-      value: $V(s_t)$.
-      next_value: $V(s_{t+1})$ of what the step observed, before any reset.
-      trace: λ.
-    """
-    difference = reward + discount * next_value - value
-
-    def back(following, row):
-        difference, discount, ended = row
-        following = difference + jnp.where(ended, 0.0, discount * trace * following)
-        return following, following
-
-    rows = difference, discount, ended
-    return jax.lax.scan(back, jnp.zeros_like(reward[0]), rows, reverse=True)[1]
-
-
 @dataclasses.dataclass(frozen=True)
 class OnPolicy:
     """The static part: networks, optimiser and rule. A subclass says how the actor is updated."""
 
+    Hyper: ClassVar[Any]
+    experience: ClassVar[Experience] = "rollouts"
     selects: ClassVar[tuple[str, ...]] = ("uniform", "mean", "first", "sample")
 
     actor: GaussianHeads
@@ -114,6 +88,24 @@ class OnPolicy:
     """Scales gradients; the learning rates are applied after it."""
     options: Any
     """Of them, only what is no traced number is read."""
+
+    @classmethod
+    def make(cls, options: Any, action_size: int) -> Any:
+        """The algorithm with those options, for actions of A numbers."""
+        shared = {"hidden": options.hidden, "layer_norm": options.layer_norm}
+        actor = GaussianHeads(
+            heads=options.heads,
+            action_size=action_size,
+            spread=options.head_spread,
+            free=True,
+            **shared,
+        )
+        return cls(actor, StateCritic(**shared), adam(options.max_gradient_norm), options)
+
+    @classmethod
+    def hyper(cls, options: Any) -> Any:
+        """The traced numbers."""
+        return traced(cls.Hyper, options)
 
     def init(self, key: PRNGKeyArray, observation_size: int) -> LearnerState:
         """Fresh networks."""
@@ -164,7 +156,7 @@ class OnPolicy:
         if select == "sample":
             sample = self._sample(learner, hyper, observation, key).sample
             return jnp.clip(sample, -1.0, 1.0)
-        proposals, values = self.proposals(learner, observation)
+        proposals, values = self.proposals(learner, hyper, observation)
         chosen = cast(heads_.Select, select)
         return heads_.choose(chosen, key, proposals, values, hyper.heads)
 
@@ -176,10 +168,10 @@ class OnPolicy:
         mean, log_std = self.gaussians(learner.actor, observation)
         noise = jax.random.normal(sample_key, (*head.shape, mean.shape[-1]))
         sample = heads_.take(mean, head) + jnp.exp(heads_.take(log_std, head)) * noise
-        return Choice(head.astype(jnp.uint8 if self.actor.heads <= 256 else jnp.int32), sample)
+        return Choice(heads_.stored(head, self.actor.heads), sample)
 
     def proposals(
-        self, learner: LearnerState, observation: Float[Array, "*B D"]
+        self, learner: LearnerState, hyper: Any, observation: Float[Array, "*B D"]
     ) -> tuple[Float[Array, "*B M A"], Float[Array, "*B M"]]:
         """The means of all heads, clipped, and V for each: no critic knows them apart."""
         mean, _ = self.gaussians(learner.actor, observation)
@@ -189,6 +181,7 @@ class OnPolicy:
     def q_values(
         self,
         learner: LearnerState,
+        hyper: Any,
         observation: Float[Array, "*B D"],
         actions: Float[Array, "*B K A"],
     ) -> Float[Array, "*B K"]:

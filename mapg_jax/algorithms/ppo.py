@@ -12,9 +12,8 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from mapg_jax.algorithms.base import Experience, Rollout, traced
-from mapg_jax.algorithms.descent import Params, adam, minimize
-from mapg_jax.algorithms.networks import GaussianHeads, StateCritic
+from mapg_jax.algorithms.base import Rollout
+from mapg_jax.algorithms.descent import Params, minimize
 from mapg_jax.algorithms.on_policy import Batch, LearnerState, OnPolicy, OnPolicyOptions
 from mapg_jax.algorithms.options import option
 
@@ -72,30 +71,11 @@ class Ppo(OnPolicy):
     Options: ClassVar = PpoOptions
     Hyper: ClassVar = Hyperparameters
     Metrics: ClassVar = UpdateMetrics
-    experience: ClassVar[Experience] = "rollouts"
     presets: ClassVar = {
         "reference": {"rollout_steps": 2048, "hidden": (64, 64), "normalize": True},
         "parallel": {"rollout_steps": 16, "minibatches": 32, "epochs": 4},
         "smoke": {"rollout_steps": 32, "minibatches": 4},
     }
-
-    @classmethod
-    def make(cls, options: PpoOptions, action_size: int) -> "Ppo":
-        """The algorithm with those options, for actions of A numbers."""
-        shared = {"hidden": options.hidden, "layer_norm": options.layer_norm}
-        actor = GaussianHeads(
-            heads=options.heads,
-            action_size=action_size,
-            spread=options.head_spread,
-            free=True,
-            **shared,
-        )
-        return cls(actor, StateCritic(**shared), adam(options.max_gradient_norm), options)
-
-    @classmethod
-    def hyper(cls, options: PpoOptions) -> Hyperparameters:
-        """The traced numbers."""
-        return traced(Hyperparameters, options)
 
     @staticmethod
     def label(heads: int) -> str:

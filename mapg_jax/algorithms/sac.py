@@ -13,15 +13,15 @@ import optax
 from flax import struct
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from mapg_jax.algorithms import exploration, twin_critics
 from mapg_jax.algorithms import heads as heads_
 from mapg_jax.algorithms.base import Experience, Explored, Transition, traced
 from mapg_jax.algorithms.descent import Params, adam, minimize, towards
-from mapg_jax.algorithms.mapg import td_target
 from mapg_jax.algorithms.mixture import log_density
 from mapg_jax.algorithms.networks import Critic, GaussianHeads
 from mapg_jax.algorithms.options import Options, option
+from mapg_jax.algorithms.returns import td_target
 
-CRITICS = 2
 GradientRule = Literal["all", "stored"]
 """Which components an actor update samples: every one, or the one that acted."""
 
@@ -152,8 +152,7 @@ class Sac:
         observation = jnp.zeros((1, observation_size))
         actor = self.actor.init(actor_key, observation)
         actions = jnp.zeros((1, 1, self.actor.action_size))
-        keys = jax.random.split(critic_key, CRITICS)
-        critic = jax.vmap(self.critic.init, in_axes=(0, None, None))(keys, observation, actions)
+        critic = twin_critics.init(self.critic, critic_key, observation, actions)
         log_temperature = jnp.zeros(())
         return LearnerState(
             actor=actor,
@@ -205,10 +204,8 @@ class Sac:
         raw = mean + jnp.exp(log_std) * heads_.normal(sample_key, mean.shape)
         action = jnp.tanh(heads_.take(raw, head))
         if self.random_start:
-            anything = jax.random.uniform(sample_key, action.shape, minval=-1.0, maxval=1.0)
-            action = jnp.where(learner.updates == 0, anything, action)
-        stored = head.astype(jnp.uint8 if self.actor.heads <= 256 else jnp.int32)
-        return Explored(action, stored, explorer)
+            action = exploration.random_start(key, learner.updates, action)
+        return Explored(action, heads_.stored(head, self.actor.heads), explorer)
 
     def act(
         self,
@@ -227,32 +224,26 @@ class Sac:
             drawn = self.sample(learner.actor, hyper, observation, sample_key)
             head = heads_.draw(head_key, hyper.heads, observation.shape[:-1])
             return heads_.take(drawn.actions, head)
-        proposals, values = self.proposals(learner, observation)
+        proposals, values = self.proposals(learner, hyper, observation)
         chosen = cast(heads_.Select, select)
         return heads_.choose(chosen, key, proposals, values, hyper.heads)
 
     def proposals(
-        self, learner: LearnerState, observation: Float[Array, "*B D"]
+        self, learner: LearnerState, hyper: Hyperparameters, observation: Float[Array, "*B D"]
     ) -> tuple[Float[Array, "*B M A"], Float[Array, "*B M"]]:
         """The means of all components after the tanh, and the smaller Q of each."""
         actions = jnp.tanh(self.gaussians(learner.actor, observation)[0])
-        return actions, self.q_values(learner, observation, actions)
+        return actions, self.q_values(learner, hyper, observation, actions)
 
     def q_values(
         self,
         learner: LearnerState,
+        hyper: Hyperparameters,
         observation: Float[Array, "*B D"],
         actions: Float[Array, "*B K A"],
     ) -> Float[Array, "*B K"]:
         """The smaller Q of any K actions a state."""
-        return self.both(learner.critic, observation, actions).min(0)
-
-    def both(
-        self, critic: Params, observation: Float[Array, "*B D"], actions: Float[Array, "*B K A"]
-    ) -> Float[Array, "2 *B K"]:
-        """Q of K actions a state, by either critic."""
-        apply = jax.vmap(self.critic.apply, in_axes=(0, None, None))
-        return cast(Array, apply(critic, observation, actions))
+        return twin_critics.values(self.critic, learner.critic, observation, actions).min(0)
 
     def next_value(
         self,
@@ -266,16 +257,11 @@ class Sac:
         One sample a component: the expectation over the mixture, stratified (SAC, Eq. 3).
         """
         drawn = self.sample(learner.actor, hyper, observation, key)
-        values = self.both(learner.critic_target, observation, drawn.actions).min(0)
+        values = twin_critics.values(
+            self.critic, learner.critic_target, observation, drawn.actions
+        ).min(0)
         soft = values - jnp.exp(learner.log_temperature) * drawn.log_density
         return heads_.mean(soft, hyper.heads)
-
-    def critic_loss(
-        self, critic: Params, batch: Transition, target: Float[Array, "B"]
-    ) -> tuple[Float[Array, ""], Float[Array, "B"]]:
-        r"""$\sum_i \frac{1}{B} \sum_b (y_b - Q_i(s_b, a_b))^2$, and Q of the first critic."""
-        q = self.both(critic, batch.observation, batch.action[:, None])[..., 0]
-        return jnp.square(target[None] - q).mean(1).sum(), q[0]
 
     def actor_loss(
         self,
@@ -292,7 +278,7 @@ class Sac:
         density is the whole mixture's. Beside the loss: the mean of $\log \pi$.
         """
         drawn = self.sample(actor, hyper, batch.observation, key)
-        values = self.both(critic, batch.observation, drawn.actions).min(0)
+        values = twin_critics.values(self.critic, critic, batch.observation, drawn.actions).min(0)
         each = jnp.exp(learner.log_temperature) * drawn.log_density - values
         if self.gradient == "stored":
             loss = heads_.take(each[..., None], batch.extra)[..., 0].mean()
@@ -319,7 +305,7 @@ class Sac:
         next_value = self.next_value(learner, hyper, batch.next_observation, target_key)
         target = td_target(batch.reward, discount, next_value)
         critic = minimize(
-            lambda params: self.critic_loss(params, batch, target),
+            lambda params: twin_critics.loss(self.critic, params, batch, target),
             self.optimizer,
             learner.critic,
             learner.critic_optimizer,

@@ -9,27 +9,21 @@ from typing import ClassVar, NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
-from flax import struct
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from mapg_jax.algorithms import heads as heads_
-from mapg_jax.algorithms.base import Experience, Transition, traced
-from mapg_jax.algorithms.descent import Params, adam, minimize, towards
-from mapg_jax.algorithms.deterministic import (
-    Deterministic,
-    DeterministicOptions,
-    make_networks,
-    numbers,
-)
+from mapg_jax.algorithms import twin_critics
+from mapg_jax.algorithms.base import Transition
+from mapg_jax.algorithms.descent import Params, minimize, towards
+from mapg_jax.algorithms.deterministic import Deterministic, LearnerState, UpdateMetrics
 from mapg_jax.algorithms.exploration import Noise
-from mapg_jax.algorithms.mapg import td_target
+from mapg_jax.algorithms.head_options import HeadNumbers, HeadOptions
 from mapg_jax.algorithms.options import option
-
-CRITICS = 2
+from mapg_jax.algorithms.returns import td_target
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Td3Options(DeterministicOptions):
+class Td3Options(HeadOptions):
     """The numbers of TD3, as its paper and its code have them."""
 
     actor_learning_rate: float = option(3e-4, "Of Adam, for the actor.", above=0)
@@ -51,23 +45,12 @@ class Td3Options(DeterministicOptions):
     )
 
 
-class Hyperparameters(struct.PyTreeNode):
+class Hyperparameters(HeadNumbers):
     """Numbers an update reads; traced, so that the runs of one compiled program may differ."""
 
-    heads: jax.Array  # [] i32, M
-    discount: jax.Array  # [], γ
-    tau: jax.Array  # [], τ
-    actor_learning_rate: jax.Array  # []
-    critic_learning_rate: jax.Array  # []
-    noise_scale: jax.Array  # [], σ in the first environment
-    noise_scale_last: jax.Array  # [], σ in the last one
     target_noise: jax.Array  # []
     target_noise_clip: jax.Array  # []
     policy_delay: jax.Array  # [] i32
-    temperature: jax.Array  # [], in standard deviations of Q over a state's heads
-    hold: jax.Array  # [] i32 steps
-    repulsion_weight: jax.Array  # [], in standard deviations of Q over a batch
-    repulsion_updates: jax.Array  # [] i32, until it is 0; 0 for never
 
 
 class Networks(NamedTuple):
@@ -79,52 +62,17 @@ class Networks(NamedTuple):
     actor_optimizer: optax.OptState
 
 
-class LearnerState(struct.PyTreeNode):
-    """All that an update changes."""
-
-    actor: Params
-    critic: Params  # leaves [2, ...]
-    actor_target: Params
-    critic_target: Params
-    actor_optimizer: optax.OptState
-    critic_optimizer: optax.OptState
-    updates: jax.Array  # [] i32
-
-
-class UpdateMetrics(NamedTuple):
-    """Diagnostics of one update; the next one never reads them."""
-
-    critic_loss: jax.Array  # []
-    actor_loss: jax.Array  # [], over the updates that move the actor
-    q_mean: jax.Array  # [], of the first critic
-    critic_gradient_norm: jax.Array  # []
-    actor_gradient_norm: jax.Array  # [], over the updates that move the actor
-
-
 @dataclasses.dataclass(frozen=True)
 class Td3(Deterministic):
     """TD3 with M heads, of which the one that acted is updated."""
 
     Options: ClassVar = Td3Options
     Hyper: ClassVar = Hyperparameters
-    Metrics: ClassVar = UpdateMetrics
-    experience: ClassVar[Experience] = "replay"
     presets: ClassVar = {
         "reference": {"learning_starts": 25_000, "random_start": True},  # sfujim/TD3
         "parallel": {"actor_learning_rate": 5e-4, "critic_learning_rate": 5e-4, "tau": 0.05,
                      "noise_scale": 0.05, "noise_scale_last": 0.8},
     }  # fmt: skip
-
-    @classmethod
-    def make(cls, options: Td3Options, action_size: int) -> "Td3":
-        """The algorithm with those options, for actions of A numbers."""
-        actor, critic = make_networks(options, action_size)
-        return cls(actor, critic, adam(options.max_gradient_norm), options)
-
-    @classmethod
-    def hyper(cls, options: Td3Options) -> Hyperparameters:
-        """The traced numbers; without a last σ all environments have the first."""
-        return traced(Hyperparameters, options, **numbers(options))
 
     @staticmethod
     def label(heads: int) -> str:
@@ -136,30 +84,11 @@ class Td3(Deterministic):
         """Its name in files."""
         return "td3"
 
-    def init(self, key: PRNGKeyArray, observation_size: int) -> LearnerState:
-        """Fresh networks, their targets equal to them."""
-        actor_key, critic_key = jax.random.split(key)
-        observation = jnp.zeros((1, observation_size))
-        actor = self.actor.init(actor_key, observation)
-        actions = jnp.zeros((1, 1, self.actor.action_size))
-        keys = jax.random.split(critic_key, CRITICS)
-        critic = jax.vmap(self.critic.init, in_axes=(0, None, None))(keys, observation, actions)
-        return LearnerState(
-            actor=actor,
-            critic=critic,
-            actor_target=actor,
-            critic_target=critic,
-            actor_optimizer=self.optimizer.init(actor),
-            critic_optimizer=self.optimizer.init(critic),
-            updates=jnp.zeros((), jnp.int32),
-        )
-
-    def both(
-        self, critic: Params, observation: Float[Array, "B D"], actions: Float[Array, "B K A"]
-    ) -> Float[Array, "2 B K"]:
-        """Q of K actions a state, by either critic."""
-        values = super().values
-        return jax.vmap(values, in_axes=(0, None, None))(critic, observation, actions)
+    def init_critic(
+        self, key: PRNGKeyArray, observation: Float[Array, "1 D"], actions: Float[Array, "1 1 A"]
+    ) -> Params:
+        """What both critics learn, fresh."""
+        return twin_critics.init(self.critic, key, observation, actions)
 
     def values(
         self, critic: Params, observation: Float[Array, "*B D"], actions: Float[Array, "*B K A"]
@@ -184,15 +113,8 @@ class Td3(Deterministic):
         noise = hyper.target_noise * heads_.normal(noise_key, actions.shape)
         noise = jnp.clip(noise, -hyper.target_noise_clip, hyper.target_noise_clip)
         actions = jnp.clip(actions + noise, -1.0, 1.0)
-        values = self.both(learner.critic_target, observation, actions).min(0)
-        return self.over_candidates(values, hyper)
-
-    def critic_loss(
-        self, critic: Params, batch: Transition, target: Float[Array, "B"]
-    ) -> tuple[Float[Array, ""], Float[Array, "B"]]:
-        r"""$\sum_i \frac{1}{B} \sum_b (y_b - Q_i(s_b, a_b))^2$, and Q of the first critic."""
-        q = self.both(critic, batch.observation, batch.action[:, None])[..., 0]
-        return jnp.square(target[None] - q).mean(1).sum(), q[0]
+        values = twin_critics.values(self.critic, learner.critic_target, observation, actions)
+        return self.over_candidates(values.min(0), hyper)
 
     def update(
         self, learner: LearnerState, hyper: Hyperparameters, batch: Transition, key: PRNGKeyArray
@@ -210,7 +132,7 @@ class Td3(Deterministic):
         next_value = self.next_value(learner, hyper, batch.next_observation, target_key)
         target = td_target(batch.reward, discount, next_value)
         critic = minimize(
-            lambda params: self.critic_loss(params, batch, target),
+            lambda params: twin_critics.loss(self.critic, params, batch, target),
             self.optimizer,
             learner.critic,
             learner.critic_optimizer,

@@ -14,9 +14,8 @@ from flax import struct
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from mapg_jax.algorithms import heads as heads_
-from mapg_jax.algorithms.base import Experience, Rollout, traced
-from mapg_jax.algorithms.descent import Params, adam
-from mapg_jax.algorithms.networks import GaussianHeads, StateCritic
+from mapg_jax.algorithms.base import Rollout
+from mapg_jax.algorithms.descent import Params
 from mapg_jax.algorithms.on_policy import Batch, LearnerState, OnPolicy, OnPolicyOptions
 from mapg_jax.algorithms.options import option
 
@@ -77,30 +76,11 @@ class Trpo(OnPolicy):
     Options: ClassVar = TrpoOptions
     Hyper: ClassVar = Hyperparameters
     Metrics: ClassVar = UpdateMetrics
-    experience: ClassVar[Experience] = "rollouts"
     presets: ClassVar = {
         "reference": {"rollout_steps": 4000, "hidden": (64, 32), "normalize": True},
         "parallel": {"rollout_steps": 16},
         "smoke": {"rollout_steps": 32, "critic_steps": 10},
     }
-
-    @classmethod
-    def make(cls, options: TrpoOptions, action_size: int) -> "Trpo":
-        """The algorithm with those options, for actions of A numbers."""
-        shared = {"hidden": options.hidden, "layer_norm": options.layer_norm}
-        actor = GaussianHeads(
-            heads=options.heads,
-            action_size=action_size,
-            spread=options.head_spread,
-            free=True,
-            **shared,
-        )
-        return cls(actor, StateCritic(**shared), adam(None), options)
-
-    @classmethod
-    def hyper(cls, options: TrpoOptions) -> Hyperparameters:
-        """The traced numbers."""
-        return traced(Hyperparameters, options)
 
     @staticmethod
     def label(heads: int) -> str:

@@ -36,7 +36,8 @@ LEGEND = (
     "n counts seeds. Mean ± 3σ is as the paper prints it, both averaged over the seeds: σ is over "
     "the episodes of one policy and says nothing of the next run. Brackets hold 95 % intervals "
     "over seeds (percentile bootstrap; one seed has none). P is the probability that a run scores "
-    "higher than one of DDPG (M = 1) with the same noise; it is called above or below ½ if its "
+    "higher than one of the plain algorithm (M = 1) with the same settings, or than one of DDPG if "
+    "it is plain itself; it is called above or below ½ if its "
     "interval excludes ½, the exact rank-sum test has p < 0.05, and both arms have three seeds "
     "or more."
 )

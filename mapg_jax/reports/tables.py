@@ -12,11 +12,13 @@ import numpy as np
 
 import envs
 from mapg_jax.algorithms import registry
-from mapg_jax.algorithms.mapg import Mapg
 from mapg_jax.reports import inference as statistics
 from mapg_jax.reports.document import Table
 from mapg_jax.reports.inference import Comparison, Estimate
 from mapg_jax.reports.results import Protocol, Result, separate, sort_settings
+
+DDPG = "ddpg"
+"""The slug of the paper's baseline."""
 
 
 class Arm(NamedTuple):
@@ -33,13 +35,18 @@ class Arm(NamedTuple):
 
     @property
     def baseline(self) -> "Arm":
-        """DDPG; for MAPG with the same settings, but those that say nothing of one head."""
-        if self.algorithm not in ("ddpg", "mapg"):
-            return Arm("ddpg", 1, "")
-        options = {f.name: f.metadata for f in dataclasses.fields(Mapg.Options)}
+        """The plain algorithm with the same settings, but those that say nothing of one head.
+
+        What is plain itself is compared with DDPG.
+        """
+        algorithm = registry.of_slug(self.algorithm, self.heads)
+        plain = algorithm.slug(1)
+        if self.heads == 1 and plain != DDPG:
+            return Arm(DDPG, 1, "")
+        options = {f.name: f.metadata for f in dataclasses.fields(algorithm.Options)}
         rules = {name for name, of_field in options.items() if of_field.get("of_heads")}
         shared = [s for s in shlex.split(self.settings) if s.partition("=")[0] not in rules]
-        return Arm("ddpg", 1, shlex.join(shared))
+        return Arm(plain, 1, shlex.join(shared))
 
     @property
     def rank(self) -> tuple:
@@ -59,7 +66,7 @@ class Cell(NamedTuple):
     std: float  # over the episodes of a run, averaged over seeds
     interquartile_mean: Estimate
     median: Estimate
-    comparison: Comparison | None  # with DDPG
+    comparison: Comparison | None  # with the arm's baseline
 
 
 def arm_of(result: Result) -> Arm:
@@ -107,13 +114,13 @@ def tables(results: Sequence[Result]) -> list[Table]:
     tasks = sorted({env for env, _ in found})
     arms = sorted({arm for _, arm in found}, key=lambda arm: arm.rank)
     rows = [[env, arm.name, *_texts(found.get((env, arm)), arm)] for env in tasks for arm in arms]
-    header = ("task", "arm", "n", "mean ± 3σ", "mean", "IQM", "median", "P over DDPG", "P is")
+    header = ("task", "arm", "n", "mean ± 3σ", "mean", "IQM", "median", "P over plain", "P is")
     further = (over_tasks(results), *own_numbers(results))
     return [Table(header, rows), *(table for table in further if table.rows)]
 
 
 def over_tasks(results: Iterable[Result]) -> Table:
-    """The mean over tasks of the probability of improvement over DDPG, where there are several."""
+    """The mean over tasks of the probability of improvement, where there are several tasks."""
     groups = by_cell(results)
     pairs: dict[Arm, dict[str, tuple]] = {}
     for (env, arm), of_cell in groups.items():
@@ -126,7 +133,7 @@ def over_tasks(results: Iterable[Result]) -> Table:
         if len(of_arm) > 1:
             estimate = statistics.mean_probability_of_improvement(list(of_arm.values()))
             rows.append([arm.name, ", ".join(of_arm), _share(estimate)])
-    return Table(("arm", "tasks", "mean P over DDPG"), rows)
+    return Table(("arm", "tasks", "mean P over plain"), rows)
 
 
 def table_csv(results: Iterable[Result]) -> str:
@@ -176,7 +183,7 @@ def _texts(cell: Cell | None, arm: Arm) -> list[str]:
     if arm == arm.baseline:
         improvement = ["", ""]
     elif comparison is None:
-        improvement = ["DDPG missing", ""]
+        improvement = [f"{arm.baseline.name} missing", ""]
     else:
         p = f"p = {comparison.p:.2g}"
         half = "undecided" if comparison.verdict == "undecided" else f"{comparison.verdict} ½"

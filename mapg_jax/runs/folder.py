@@ -16,8 +16,9 @@ from typing import Any, TextIO
 from mapg_jax.runs import locking
 from mapg_jax.training.config import Config, fields
 
-FORMAT = 2
-"""Of run folders. Format 1 (no number in it) had one list of fields for all algorithms."""
+FORMAT = 3
+"""Of run folders. Format 1 (no number in it) had one list of fields for all algorithms; the states
+of format 2 know no head that is held."""
 PACKAGES = ("mapg-jax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "brax", "mujoco",
             "mujoco-mjx", "gymnasium", "numpy")  # fmt: skip
 

@@ -52,7 +52,9 @@ class Agent:
         self, state: AgentState, observation: Float[Array, "*B D"]
     ) -> tuple[Float[Array, "*B M A"], Float[Array, "*B M"]]:
         """The M actions proposed for raw observations, and the critic's value of each."""
-        return self.algorithm.proposals(state.learner, self.normalize(state, observation))
+        return self.algorithm.proposals(
+            state.learner, state.hyper, self.normalize(state, observation)
+        )
 
     def q_values(
         self,
@@ -62,7 +64,7 @@ class Agent:
     ) -> Float[Array, "*B K"]:
         """The critic's values of any K actions for raw observations."""
         observation = self.normalize(state, observation)
-        return self.algorithm.q_values(state.learner, observation, actions)
+        return self.algorithm.q_values(state.learner, state.hyper, observation, actions)
 
     def act(
         self, state: AgentState, observation: Float[Array, "*B D"], key: PRNGKeyArray, select: str

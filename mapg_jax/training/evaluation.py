@@ -18,6 +18,7 @@ class HeadStatistics(NamedTuple):
     spread: jax.Array  # [], in units of [-1, 1]
     q_gap: jax.Array  # [], in units of Q
     q_gap_relative: jax.Array  # [], over the standard deviation of Q
+    head_distance: jax.Array  # [], between two heads, over the largest there can be
 
 
 class Played(NamedTuple):
@@ -35,6 +36,7 @@ class _Sums(NamedTuple):
     states: jax.Array
     spread: jax.Array
     q_gap: jax.Array
+    distance: jax.Array
     q: jax.Array
     q_square: jax.Array
 
@@ -110,6 +112,7 @@ def _added(sums: _Sums, alive, proposals, values, value, m) -> _Sums:
         sums.states + alive.sum(),
         sums.spread + total(heads.spread(proposals, m)),
         sums.q_gap + total(heads.q_gap(values, m)),
+        sums.distance + total(heads.distance(proposals, m)),
         sums.q + total(value),
         sums.q_square + total(jnp.square(value)),
     )
@@ -119,7 +122,7 @@ def _statistics(sums: _Sums) -> HeadStatistics:
     mean = _Sums(*(x / sums.states for x in sums))
     q_std = jnp.sqrt(jnp.maximum(mean.q_square - jnp.square(mean.q), 0.0))
     gap_relative = jnp.where(q_std > 0, mean.q_gap / q_std, jnp.nan)
-    return HeadStatistics(mean.spread, mean.q_gap, gap_relative)
+    return HeadStatistics(mean.spread, mean.q_gap, gap_relative, mean.distance)
 
 
 class Summary(NamedTuple):

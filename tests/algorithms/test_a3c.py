@@ -11,7 +11,7 @@ import pytest
 import scipy.stats
 
 from mapg_jax import load_policy
-from mapg_jax.algorithms import a3c
+from mapg_jax.algorithms import a3c, returns
 from mapg_jax.algorithms.a3c import UpdateMetrics
 from mapg_jax.algorithms.base import Transition
 from mapg_jax.algorithms.descent import adam
@@ -81,7 +81,7 @@ def test_n_step_returns_against_a_slow_sum(steps):
                     if not terminated[k, i]:
                         expected[t, i] += discount ** (k - t + 1) * next_value[k, i]
                     break
-    found = a3c.n_step_returns(
+    found = returns.n_step_returns(
         jnp.float32(reward),
         jnp.where(terminated, 0.0, jnp.float32(discount)),
         jnp.asarray(terminated | truncated),

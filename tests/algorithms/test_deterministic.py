@@ -51,7 +51,7 @@ def test_the_best_head_acts_where_it_is_asked_for():
     config = dataclasses.replace(oracles.TINY, heads=5, behaviour="argmax-q", head_spread=1.0)
     algorithm = Mapg.make(config, 1)
     learner = algorithm.init(jax.random.key(0), 2)
-    _, values = algorithm.proposals(learner, jnp.ones((N, 2)))
+    _, values = algorithm.proposals(learner, Mapg.hyper(config), jnp.ones((N, 2)))
     best = int(values[0].argmax())
     assert (acted(behaviour="argmax-q", head_spread=1.0) == best).all()
 

@@ -15,8 +15,9 @@ import pytest
 
 from mapg_jax.algorithms.base import Transition
 from mapg_jax.algorithms.descent import kernel_l2
-from mapg_jax.algorithms.deterministic import Strength
-from mapg_jax.algorithms.mapg import Hyperparameters, LearnerState, Mapg, td_target
+from mapg_jax.algorithms.deterministic import LearnerState, Strength
+from mapg_jax.algorithms.mapg import Hyperparameters, Mapg
+from mapg_jax.algorithms.returns import td_target
 from mapg_jax.training.agent import hyperparameters, make_agent
 from mapg_jax.training.config import Config
 

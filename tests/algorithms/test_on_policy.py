@@ -12,8 +12,9 @@ from jax.flatten_util import ravel_pytree
 
 from mapg_jax.algorithms import normalization
 from mapg_jax.algorithms.base import Rollout, Transition
-from mapg_jax.algorithms.on_policy import Choice, generalized_advantages
+from mapg_jax.algorithms.on_policy import Choice
 from mapg_jax.algorithms.ppo import Ppo, PpoOptions
+from mapg_jax.algorithms.returns import generalized_advantages
 from mapg_jax.algorithms.trpo import Trpo, TrpoOptions
 from mapg_jax.training.config import Config
 

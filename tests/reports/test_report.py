@@ -84,7 +84,7 @@ def test_the_table_shows_every_cell_and_what_is_missing():
         (env, arm) for env in ("hopper", "swimmer") for arm in ("DDPG", "M = 10", "M = 50")
     ]
     assert rows["hopper", "M = 10"]["mean ± 3σ"] == "23.5 ± 7.1"
-    assert rows["hopper", "M = 10"]["P over DDPG"] == "1.00 (1.00 to 1.00)"
+    assert rows["hopper", "M = 10"]["P over plain"] == "1.00 (1.00 to 1.00)"
     assert rows["hopper", "M = 10"]["P is"] == "above ½, p = 0.029"
     assert rows["swimmer", "M = 10"]["mean"] == "6.0"
     assert rows["swimmer", "M = 10"]["P is"] == "undecided, p = 1"
@@ -95,7 +95,7 @@ def test_the_table_shows_every_cell_and_what_is_missing():
 def test_without_ddpg_there_is_nothing_to_compare_with():
     scores = {("hopper", 10): [1.0, 2.0], ("swimmer", 1): [3.0, 4.0]}
     (table,) = tables.tables(results(scores))
-    assert rows_of(table)["hopper", "M = 10"]["P over DDPG"] == "DDPG missing"
+    assert rows_of(table)["hopper", "M = 10"]["P over plain"] == "DDPG missing"
 
 
 def test_the_mean_over_tasks_takes_tasks_that_have_both_arms():
@@ -105,12 +105,25 @@ def test_the_mean_over_tasks_takes_tasks_that_have_both_arms():
     assert table.rows == [["M = 10", "hopper, swimmer", f"{value:.2f}"]]
 
 
+def test_an_algorithm_with_several_heads_is_compared_with_itself():
+    """TD3 with M = 10 with TD3; TD3 itself, as A3C, with DDPG."""
+    of = {
+        slug: [oracles.result(env="hopper", algorithm=slug, heads=m, seed=i, return_mean=score + i)
+               for i in range(2)]
+        for slug, m, score in (("ddpg", 1, 5.0), ("td3", 1, 9.0))
+    }  # fmt: skip
+    several = [oracles.result(algorithm="td3", heads=10, seed=i, return_mean=7.0) for i in range(2)]
+    (table,) = tables.tables(of["ddpg"] + of["td3"] + several)
+    rows = {arm: cells["P over plain"][:4] for (_, arm), cells in rows_of(table).items()}
+    assert rows == {"DDPG": "", "TD3": "1.00", "TD3, M = 10": "0.00"}
+
+
 def test_arms_are_compared_with_ddpg_of_the_same_noise():
     quiet = results({("hopper", 1): [1.0, 2.0], ("hopper", 10): [3.0, 4.0]}, settings="noise=none")
     rules = results({("hopper", 10): [0.0, 0.5]}, settings="gradient=all noise=none")
     noisy = results({("hopper", 1): [8.0, 9.0], ("hopper", 10): [6.0, 7.0]})
     (table,) = tables.tables(quiet + rules + noisy)
-    rows = {arm: cells["P over DDPG"][:4] for (_, arm), cells in rows_of(table).items()}
+    rows = {arm: cells["P over plain"][:4] for (_, arm), cells in rows_of(table).items()}
     assert rows == {
         "DDPG": "",
         "DDPG, noise=none": "",

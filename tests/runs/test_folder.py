@@ -8,7 +8,7 @@ import jax
 import oracles
 import pytest
 
-from mapg_jax.runs.folder import RunFolder, create_folder
+from mapg_jax.runs.folder import FORMAT, RunFolder, create_folder
 from mapg_jax.runs.train import begin
 from mapg_jax.training.config import PRESETS, Config, preset
 
@@ -53,7 +53,7 @@ def test_a_run_folder_holds_data_only(finished_run):
     assert names == {"config", "metrics", "checkpoints", "events"}
 
 
-@pytest.mark.parametrize("found", [1, 3])
+@pytest.mark.parametrize("found", [1, FORMAT + 1])
 def test_a_folder_of_another_format_is_refused_in_one_line_that_names_it(found, tmp_path):
     """Format 1 wrote no number, and all fields of all algorithms."""
     file = RunFolder.create(tmp_path / "run", oracles.RUN).path / "config.json"
@@ -62,7 +62,7 @@ def test_a_folder_of_another_format_is_refused_in_one_line_that_names_it(found, 
     if found != 1:
         record["format"] = found
     file.write_text(json.dumps(record))
-    message = f"run is a run folder of format {found}, and this version reads format 2"
+    message = f"run is a run folder of format {found}, and this version reads format {FORMAT}"
     with pytest.raises(ValueError, match=message) as error:
         RunFolder.open(tmp_path / "run")
     assert "\n" not in str(error.value)

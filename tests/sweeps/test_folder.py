@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from mapg_jax.runs.folder import FORMAT
 from mapg_jax.sweeps.folder import SweepFolder
 
 
@@ -24,9 +25,9 @@ def test_a_sweep_folder_of_another_format_is_refused_in_one_line(tmp_path):
     folder.create()
     file = folder.path / "sweep.json"
     record = json.loads(file.read_text())
-    for found in (1, 3):
+    for found in (1, FORMAT + 1):
         file.write_text(json.dumps({**record, "format": found}))
-        message = f"is of format {found}, and this version reads 2"
+        message = f"is of format {found}, and this version reads {FORMAT}"
         with pytest.raises(ValueError, match=message) as error:
             SweepFolder.open(folder.path)
         assert "\n" not in str(error.value)

@@ -40,13 +40,14 @@ def slow_play(agent, state, key, select):
     start_key, head_key = jax.random.split(key)
     look = jax.jit(agent.proposals)
     step, reset = jax.jit(ENV.step), jax.jit(ENV.reset)
-    returns, lengths, spreads, gaps, means = [], [], [], [], []
+    returns, lengths, spreads, gaps, means, distances = [], [], [], [], [], []
     for episode, start in enumerate(jax.random.split(start_key, EPISODES)):
         env_state, total, t = reset(start), 0.0, 0
         while True:
             proposals, values = map(np.asarray, look(state, env_state.obs))
             spreads.append(oracles.spread(proposals))
             gaps.append(oracles.q_gap(values))
+            distances.append(oracles.distance(proposals))
             means.append(values.astype(np.float64).mean())
             head = {
                 "uniform": heads.draw(jax.random.fold_in(head_key, t), jnp.int32(3), (EPISODES,))[
@@ -64,7 +65,8 @@ def slow_play(agent, state, key, select):
         returns.append(total)
         lengths.append(t)
     gap = np.mean(gaps)
-    return returns, lengths, (np.mean(spreads), gap, gap / np.std(means))
+    statistics = np.mean(spreads), gap, gap / np.std(means), np.mean(distances)
+    return returns, lengths, statistics
 
 
 @pytest.mark.parametrize("select", ["uniform", "argmax-q", "mean", "first"])
