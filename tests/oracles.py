@@ -337,6 +337,20 @@ def distance(proposals) -> float:
     )
 
 
+def optima_share(values, proposals) -> float:
+    """The share of Q's optima that have a head, from Q over a lattice of 41 points each way."""
+    values, axis = np.asarray(values), np.linspace(-1, 1, 41, dtype=np.float32)
+    found = []
+    for place in np.ndindex(values.shape):
+        around = itertools.product(*((i - 1, i, i + 1) for i in place))
+        others = [values[p] for p in around if p != place and min(p) >= 0 and max(p) < 41]
+        good = values[place] >= values.max() - 0.1 * (values.max() - values.min())
+        if good and values[place] > max(others):
+            off = np.abs(np.asarray(proposals) - axis[list(place)]).max(-1)
+            found.append(off.min() <= 0.1)
+    return float(np.mean(found)) if found else math.nan
+
+
 def q_gap(values) -> float:
     """Largest minus smallest of the M values."""
     return float(max(values) - min(values))

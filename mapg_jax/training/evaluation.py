@@ -1,5 +1,6 @@
 """Episodes to returns: E episodes are E starts, one episode each."""
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -8,17 +9,18 @@ import numpy as np
 from jaxtyping import PRNGKeyArray
 
 import envs
-from mapg_jax.algorithms import heads
+from mapg_jax.algorithms import heads, optima
 from mapg_jax.training.agent import Agent, AgentState
 
 
 class HeadStatistics(NamedTuple):
-    """How the M proposals differ, averaged over all states of the episodes (docs/metrics.md)."""
+    """How the M proposals differ, averaged over states of the episodes (docs/metrics.md)."""
 
     spread: jax.Array  # [], in units of [-1, 1]
     q_gap: jax.Array  # [], in units of Q
     q_gap_relative: jax.Array  # [], over the standard deviation of Q
     head_distance: jax.Array  # [], between two heads, over the largest there can be
+    optima_share: jax.Array  # [], of the optima of Q that have a head, over the starts
 
 
 class Played(NamedTuple):
@@ -94,12 +96,21 @@ def play(
 
     start = jax.vmap(env.reset)(jax.random.split(start_key, episodes))
     # Squares of deviations from a value near the mean keep their digits.
-    pivot = heads.mean(agent.proposals(state, jnp.asarray(start.obs))[1], m).mean()
+    proposals, values = agent.proposals(state, jnp.asarray(start.obs))
+    pivot = heads.mean(values, m).mean()
     zeros, none = jnp.zeros(episodes), jnp.zeros(episodes, jnp.int32)
     sums = _Sums(*(jnp.zeros(()) for _ in _Sums._fields))
     first = _Play(none[0], start, jnp.ones(episodes, bool), zeros, none, start.metrics, sums)
     end = jax.lax.while_loop(lambda now: (now.steps < time_limit) & now.alive.any(), step, first)
-    return Played(end.returns, end.lengths, _statistics(end.sums), end.last)
+    found = _optima_share(agent, state, jnp.asarray(start.obs), proposals)
+    return Played(end.returns, end.lengths, _statistics(end.sums, found), end.last)
+
+
+def _optima_share(agent: Agent, state: AgentState, observation, proposals) -> jax.Array:
+    if not optima.can_be_searched(proposals.shape[-1]):
+        return jnp.full((), jnp.nan)
+    q_values = functools.partial(agent.q_values, state, observation)
+    return jnp.nanmean(optima.share_found(q_values, proposals, state.hyper.heads))
 
 
 def _added(sums: _Sums, alive, proposals, values, value, m) -> _Sums:
@@ -118,11 +129,11 @@ def _added(sums: _Sums, alive, proposals, values, value, m) -> _Sums:
     )
 
 
-def _statistics(sums: _Sums) -> HeadStatistics:
+def _statistics(sums: _Sums, optima_share: jax.Array) -> HeadStatistics:
     mean = _Sums(*(x / sums.states for x in sums))
     q_std = jnp.sqrt(jnp.maximum(mean.q_square - jnp.square(mean.q), 0.0))
     gap_relative = jnp.where(q_std > 0, mean.q_gap / q_std, jnp.nan)
-    return HeadStatistics(mean.spread, mean.q_gap, gap_relative, mean.distance)
+    return HeadStatistics(mean.spread, mean.q_gap, gap_relative, mean.distance, optima_share)
 
 
 class Summary(NamedTuple):

@@ -89,6 +89,8 @@ def test_an_oracle_reaches_each_goal(name):
         assert total == pytest.approx(10 - 5 * 30 - sum(others), rel=1e-5)
     numbers = {m.name: m.over([0, 1, 3, 3]) for m in env.scored_metrics}
     shares = [0.25, 0, 0.5, 0][: len(env.goals)]
+    entropy = -(np.log(1 / 3) / 3 + np.log(2 / 3) * 2 / 3) / np.log(len(env.goals))
+    assert numbers.pop("goal_entropy") == pytest.approx(entropy, rel=1e-12)
     assert numbers == {
         "goals_reached": 2,
         **{f"goal_{i}_share": share for i, share in enumerate(shares, 1)},

@@ -81,7 +81,13 @@ def test_the_player_knows_the_policys_proposals_and_their_values(policy):
 
 def test_an_environments_numbers_are_in_every_row_and_in_the_score(run):
     names = [m.name for m in run.config.make_env().scored_metrics]
-    assert names == ["goals_reached", "goal_1_share", "goal_2_share", "goal_3_share"]
+    assert names == [
+        "goals_reached",
+        "goal_entropy",
+        "goal_1_share",
+        "goal_2_share",
+        "goal_3_share",
+    ]
     rows = read_metrics(run.metrics)
     assert rows and all(set(names) <= row.keys() for row in rows)
     assert all(0 <= row[name] <= 3 for row in rows for name in names)
@@ -89,8 +95,9 @@ def test_an_environments_numbers_are_in_every_row_and_in_the_score(run):
     assert json.loads(run.evaluation.read_text())["scored"] == score["scored"]
     goals = score["metrics"]["goal"]
     shares = {f"goal_{i}_share": goals.count(i) / len(goals) for i in (1, 2, 3)}
-    assert score["scored"] == {"goals_reached": len(set(goals) - {0}), **shares}
     assert read_run(run).metrics == score["scored"]
+    assert 0 <= score["scored"].pop("goal_entropy") <= 1
+    assert score["scored"] == {"goals_reached": len(set(goals) - {0}), **shares}
 
 
 def test_wrapped_environments_keep_what_they_count_and_draw():

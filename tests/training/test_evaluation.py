@@ -40,9 +40,15 @@ def slow_play(agent, state, key, select):
     start_key, head_key = jax.random.split(key)
     look = jax.jit(agent.proposals)
     step, reset = jax.jit(ENV.step), jax.jit(ENV.reset)
-    returns, lengths, spreads, gaps, means, distances = [], [], [], [], [], []
+    returns, lengths, spreads, gaps, means, distances, shares = [], [], [], [], [], [], []
+    lattice = np.linspace(-1, 1, 41, dtype=np.float32)[:, None]
     for episode, start in enumerate(jax.random.split(start_key, EPISODES)):
         env_state, total, t = reset(start), 0.0, 0
+        shares.append(
+            oracles.optima_share(
+                agent.q_values(state, env_state.obs, lattice), look(state, env_state.obs)[0]
+            )
+        )
         while True:
             proposals, values = map(np.asarray, look(state, env_state.obs))
             spreads.append(oracles.spread(proposals))
@@ -65,7 +71,7 @@ def slow_play(agent, state, key, select):
         returns.append(total)
         lengths.append(t)
     gap = np.mean(gaps)
-    statistics = np.mean(spreads), gap, gap / np.std(means), np.mean(distances)
+    statistics = np.mean(spreads), gap, gap / np.std(means), np.mean(distances), np.nanmean(shares)
     return returns, lengths, statistics
 
 
