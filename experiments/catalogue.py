@@ -10,7 +10,8 @@ from mapg_jax.training.config import Config
 
 Name = Literal[
     "claims", "effects", "table2", "fig1", "fig5", "fig2", "fig3", "fig4", "torcs", "heads",
-    "returns", "overhead", "repeats",
+    "returns", "carryover", "overhead",
+    "repeats",
 ]  # fmt: skip
 TITLES: dict[Name, str] = {
     "claims": "The claims",
@@ -24,6 +25,7 @@ TITLES: dict[Name, str] = {
     "torcs": "Driving, for TORCS",
     "heads": "The heads",
     "returns": "What each head returns",
+    "carryover": "Other algorithms with several actions",
     "overhead": "What the heads cost",
     "repeats": "Two runs of version 1, made again",
 }

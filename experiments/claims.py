@@ -5,12 +5,23 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from experiments import fig2, fig3, fig4, heads, overhead, returns, rows, scores, table2, torcs
+from experiments import (
+    carryover,
+    fig2,
+    fig3,
+    fig4,
+    heads,
+    overhead,
+    returns,
+    rows,
+    scores,
+    table2,
+    torcs,
+)
 from experiments.comparisons import ALPHA, Comparison, judge
 from experiments.plan import A3C, DDPG, MAPG, NO_NOISE, Plan
 from experiments.verdicts import (
     CONTRADICTED,
-    NOT_TESTED,
     SUPPORTED,
     UNDECIDED,
     Verdict,
@@ -31,7 +42,7 @@ ROUNDS = 7
 
 def runs(plan: Plan) -> list[Config]:
     """All of the other experiments'."""
-    modules = (table2, fig2, fig3, fig4, torcs, heads)
+    modules = (table2, fig2, fig3, fig4, torcs, heads, carryover)
     return [config for module in modules for config in module.runs(plan)]
 
 
@@ -212,11 +223,17 @@ def c8(plan: Plan) -> Verdict:
     return Verdict("C8", text, verdict, effect if shown else "")
 
 
-def c10(_: Plan) -> Verdict:
-    return Verdict("C10", "the idea carries over to NAF and TRPO", NOT_TESTED)
-
-
-JUDGES: tuple[Callable[[Plan], Verdict], ...] = (c2a, c3, c4a, c4b, c6a, c6b, c7, c8, c10)
+JUDGES: tuple[Callable[[Plan], Verdict], ...] = (
+    c2a,
+    c3,
+    c4a,
+    c4b,
+    c6a,
+    c6b,
+    c7,
+    c8,
+    carryover.together,
+)
 """Of the claims that are not of two arms."""
 
 

@@ -32,6 +32,8 @@ RULES: Mapping[str, Mapping[str, Any]] = {
     "diverse": registry.find("mapg").presets.get("diverse", {}),
 }
 """Of the heads, beside the paper's; those that the algorithm does not have are left out."""
+CARRIED = ("naf", "trpo", "ppo", "td3", "sac")
+"""The other algorithms with several actions, in the order of their runs."""
 FIRST_SEED = 2_000
 """Of the protocol's version 2."""
 EARLIER_SEEDS = 10
@@ -92,14 +94,14 @@ class Plan(NamedTuple):
 
     def folder(self, config: Config) -> pathlib.Path:
         """Where a run is trained."""
-        return self.runs / name(config, self.base)
+        return self.runs / name(config, self)
 
 
 @functools.cache
 def _cell(plan: Plan, env: str, changes: tuple[tuple[str, Any], ...]) -> tuple[Config, ...]:
     """Made once: a page asks for the same cells many times."""
     first = plan.config(env, FIRST_SEED if plan.version == 2 else 0, **dict(changes))
-    most = seeds(first, plan.base) if plan.version == 2 else EARLIER_SEEDS
+    most = seeds(first, plan) if plan.version == 2 else EARLIER_SEEDS
     count = most if plan.seeds is None else min(plan.seeds, most)
     return tuple(dataclasses.replace(first, seed=first.seed + k) for k in range(count))
 
@@ -136,21 +138,21 @@ def is_the_papers(plan: Plan) -> bool:
     return plan.results == pathlib.Path("results") and not plan.flags
 
 
-def name(config: Config, base: Config) -> str:
+def name(config: Config, plan: Plan) -> str:
     """The folder of a run, by what sets it apart: `hopper-ddpg-m1-s2000`."""
     parts = [config.env, config.slug, f"m{config.heads}"]
-    if config.steps != base.steps:
+    if config.steps != plan.base.steps:
         parts.append(str(config.steps))
-    for field in sorted(changed(config, base) - {"env_options", "time_limit"}):
+    for field in sorted(changed(config, plan) - {"env_options", "time_limit"}):
         value = getattr(config, field)
         parts.append(value if isinstance(value, str) else f"{field}{value}")
     return "-".join([*parts, f"s{config.seed}"])
 
 
-def seeds(config: Config, base: Config) -> int:
+def seeds(config: Config, plan: Plan) -> int:
     """How many the protocol has of a cell, which it fixed before the first of them."""
     counts = SEEDS_OF_HUMANOID if config.env == "humanoid" else SEEDS
-    return counts["core" if is_core(config, base) else "others"]
+    return counts["core" if is_core(config, plan) else "others"]
 
 
 def in_order(plan: Plan, wanted: Iterable[Config]) -> list[Config]:
@@ -158,35 +160,45 @@ def in_order(plan: Plan, wanted: Iterable[Config]) -> list[Config]:
 
     def rank(config: Config):
         slow = config.env == "humanoid"
-        place = config.seed, config.env, config.heads, name(config, plan.base)
-        return item(config, plan.base), slow, *place
+        place = config.seed, config.env, config.heads, name(config, plan)
+        return item(config, plan), slow, *place
 
     return sorted(dict.fromkeys(wanted), key=rank)
 
 
-def item(config: Config, base: Config) -> int:
+def item(config: Config, plan: Plan) -> int:
     """Of the protocol's list of runs."""
-    core = is_core(config, base)
-    if config.env not in TASKS or "noise" in changed(config, base):
+    if config.algorithm in CARRIED:
+        last = len(CARRIED) if "gradient" in changed(config, plan) else 0
+        return 6 + CARRIED.index(config.algorithm) + last
+    core = is_core(config, plan)
+    if config.env not in TASKS or "noise" in changed(config, plan):
         return 3
-    if config.algorithm == base.algorithm and not core and config.heads == MAPG["heads"]:
+    if config.algorithm == plan.base.algorithm and not core and config.heads == MAPG["heads"]:
         return 5
     if core:
         return 1
     return 4 if config.env == "humanoid" else 2
 
 
-def is_core(config: Config, base: Config) -> bool:
+def is_core(config: Config, plan: Plan) -> bool:
     """DDPG and M = 10 by the paper's rules: of Table 2, driving and Figure 4."""
     free = {"env_options", "time_limit", "noise"}
-    known = config.algorithm == base.algorithm and config.heads in (DDPG["heads"], MAPG["heads"])
-    return known and changed(config, base) <= free
+    known = config.algorithm == plan.base.algorithm and config.heads in (
+        DDPG["heads"],
+        MAPG["heads"],
+    )
+    return known and changed(config, plan) <= free
 
 
-def changed(config: Config, base: Config) -> set[str]:
-    """What a run of the base's algorithm has otherwise, beside its seed, M and steps."""
-    if config.algorithm != base.algorithm:
-        return set()
-    bears = {name for name, field in fields(type(base)).items() if not field.metadata["host"]}
+def changed(config: Config, plan: Plan) -> set[str]:
+    """What a run has otherwise than its algorithm's preset, beside its seed, M and steps."""
+    usual = _usual(plan, config.algorithm)
+    bears = {name for name, field in fields(type(usual)).items() if not field.metadata["host"]}
     names = bears - {"env", "seed", "heads", "steps"}
-    return {name for name in names if getattr(config, name) != getattr(base, name)}
+    return {name for name in names if getattr(config, name) != getattr(usual, name)}
+
+
+@functools.cache
+def _usual(plan: Plan, algorithm: str) -> Config:
+    return plan.config("pendulum", algorithm=algorithm)

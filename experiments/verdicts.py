@@ -11,8 +11,7 @@ from experiments.plan import Plan
 from mapg_jax.reports.inference import LEAST_SEEDS
 from mapg_jax.training.config import Config
 
-SUPPORTED, CONTRADICTED = "supported", "contradicted"
-UNDECIDED, NOT_TESTED = "undecided", "not tested"
+SUPPORTED, CONTRADICTED, UNDECIDED = "supported", "contradicted", "undecided"
 
 
 class Verdict(NamedTuple):

@@ -136,6 +136,19 @@ def share(some: int, all_: int, level: float = LEVEL) -> Estimate:
     return Estimate(some / all_, float(found.low), float(found.high))
 
 
+def holm(ps: Sequence[float]) -> list[float]:
+    r"""p's of k tests, adjusted so that one of them is below a level with that chance at most.
+
+    $\tilde p_{(i)} = \max_{j \le i} \min(1, (k - j + 1) p_{(j)})$ (Holm 1979).
+    """
+    order, k, highest = np.argsort(ps, kind="stable"), len(ps), 0.0
+    adjusted = [0.0] * k
+    for j, i in enumerate(order):
+        highest = max(highest, min(1.0, (k - j) * ps[i]))
+        adjusted[i] = highest
+    return adjusted
+
+
 def rank_sum_p(new: Scores, old: Scores) -> float:
     """Exact two-sided p of the rank-sum test (Mann-Whitney).
 

@@ -254,11 +254,13 @@ def test_the_order_is_that_of_the_protocol():
     plan = Plan(Config(), None, *[None] * 2)
     ordered = paper.runs(plan, list(paper.TITLES))
     assert in_order(plan, reversed(ordered)) == ordered
-    folders = [name(config, plan.base) for config in ordered]
+    folders = [name(config, plan) for config in ordered]
     assert len(set(folders)) == len(folders)
-    counts = collections.Counter(item(config, plan.base) for config in ordered)
+    counts = collections.Counter(item(config, plan) for config in ordered)
     assert [counts[number] for number in range(1, 5)] == [76, 80, 77, 8]
     assert counts[5] == 10 * len(plan.rules())
+    # NAF on two tasks, the others on four, M = 1 and 10; and the marginal ratio of two of them
+    assert [counts[number] for number in range(6, 16)] == [20, 40, 40, 40, 40, 0, 20, 20, 0, 0]
     assert {config.seed for config in ordered[:8]} == {2000}
     assert {(config.env, config.heads) for config in ordered[64:76]} == {
         ("humanoid", 1), ("humanoid", 10),
@@ -315,5 +317,6 @@ def test_names_say_what_sets_a_run_apart():
         ({**MAPG, **NO_NOISE}, "hopper-mapg-m10-none-s2000"),
         ({**MAPG, "gradient": "all"}, "hopper-mapg-m10-all-s2000"),
         ({**MAPG, "tau": 0.5}, "hopper-mapg-m10-tau0.5-s2000"),
+        ({**MAPG, "algorithm": "ppo", "gradient": "marginal"}, "hopper-ppo-m10-marginal-s2000"),
     ):
-        assert name(plan.config("hopper", **changes), plan.base) == expected
+        assert name(plan.config("hopper", **changes), plan) == expected

@@ -259,3 +259,16 @@ def test_bad_scores_are_refused():
             probability_of_improvement([1.0, 2.0], scores)
     with pytest.raises(ValueError, match="no scores"):
         bootstrap([], np.mean)
+
+
+def test_holm_adjusts_as_his_procedure_decides():
+    """Rejecting while the i-th least p is at most level / (k - i + 1), i from 1."""
+    rng = np.random.default_rng(3)
+    for ps in rng.uniform(0, 0.1, (200, 5)):
+        adjusted = statistics.holm(ps)
+        for level in (0.01, 0.05, 0.1):
+            rejected, open_ = set(), list(np.argsort(ps))
+            while open_ and ps[open_[0]] <= level / len(open_):
+                rejected.add(open_.pop(0))
+            assert {i for i in range(5) if adjusted[i] <= level} == rejected
+    assert statistics.holm([0.5, 0.02]) == [0.5, 0.04]

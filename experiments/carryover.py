@@ -1,0 +1,164 @@
+"""Other algorithms with several actions, against themselves with one (C10)."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from experiments import pictures, rows, scores
+from experiments.comparisons import ALPHA, Comparison, Pair
+from experiments.plan import CARRIED, DDPG, MAPG, Plan
+from experiments.verdicts import (
+    CONTRADICTED,
+    SUPPORTED,
+    UNDECIDED,
+    Verdict,
+    undecidable,
+    waiting,
+)
+from mapg_jax.reports.document import Table
+from mapg_jax.reports.inference import holm
+from mapg_jax.reports.plots import draw_forest
+from mapg_jax.reports.stratified import Test, effect, least_p, van_elteren
+from mapg_jax.training.config import Config
+
+NAMED = ("naf", "trpo")
+"""By the paper; C10 is about them."""
+TASKS = ("pendulum", "hopper", "halfcheetah", "walker2d")
+OF_NAF = ("pendulum", "hopper")
+MARGINAL: Mapping[str, Any] = {"gradient": "marginal"}
+"""The exact mixture's ratio, which is shown beside the head's own and judges nothing."""
+
+
+def runs(plan: Plan) -> list[Config]:
+    """All that C10 is judged on, and then what is shown beside it."""
+    judged = [c for comparison in comparisons(plan).values() for c in comparison.runs(plan)]
+    return [*judged, *(c for comparison in beside(plan).values() for c in comparison.runs(plan))]
+
+
+def comparisons(plan: Plan) -> dict[str, Comparison]:
+    """Of every algorithm, M = 10 and M = 1."""
+    return {name: _comparison(plan, name, {}) for name in CARRIED}
+
+
+def beside(plan: Plan) -> dict[str, Comparison]:
+    """PPO and TRPO by the mixture's own ratio."""
+    return {f"{name}, marginal": _comparison(plan, name, MARGINAL) for name in ("trpo", "ppo")}
+
+
+def _comparison(plan: Plan, name: str, changes: Mapping[str, Any]) -> Comparison:
+    arm = {"algorithm": name, "steps": steps(plan)}
+    text = f"{name.upper()} with M = 10 beats itself with M = 1"
+    envs = OF_NAF if name == "naf" else TASKS
+    ours, theirs = {**arm, **MAPG, **changes}, {**arm, **DDPG}
+    return Comparison((f"C10 {name.upper()}", ""), text, envs, ours, theirs)
+
+
+def steps(plan: Plan) -> int:
+    """Half of the others' steps, in whole turns of every algorithm."""
+    ppo: Any = plan.config("pendulum", algorithm="ppo")
+    turn = ppo.environments * ppo.rollout_steps
+    return max(1, plan.base.steps // 2 // turn) * turn
+
+
+def section(plan: Plan) -> str:
+    """A table of verdicts, a picture of effects, and the scores."""
+    if not scores.of(plan, runs(plan)):
+        return rows.missing(runs(plan))
+    everything = {**comparisons(plan), **beside(plan)}
+    groups = {name: forest(comparison.pairs(plan)) for name, comparison in everything.items()}
+    groups = {name: lines for name, lines in groups.items() if lines}
+    text = (
+        f"Each algorithm by the preset `{plan.preset}`, {steps(plan):,} steps, five seeds: "
+        "M = 10 by the paper's rule (the head that acted is updated) against M = 1, the plain "
+        "algorithm. Test: van Elteren's over the tasks together; p adjusted by Holm over the five "
+        "algorithms, one that lacks runs counting as p = 1.\n\n" + verdict_table(plan).markdown()
+    )
+    if groups:
+        figure = draw_forest(groups, "P, the probability of improvement of M = 10 over M = 1")
+        pictures.save(plan, figure, "carryover")
+        text += "\n\n![Probability of improvement by algorithm and task](carryover.png)"
+    return f"{text}\n\n{score_table(plan, everything).markdown()}"
+
+
+def forest(pairs: Mapping[str, Pair]) -> dict[str, Any]:
+    """Task → effect; the last is that of the tasks together."""
+    found = {
+        f"{env} (n = {len(pair[0])} + {len(pair[1])})": effect([pair])
+        for env, pair in pairs.items()
+    }
+    return {**found, "together": effect(list(pairs.values()))} if found else {}
+
+
+def verdict_table(plan: Plan) -> Table:
+    """One line an algorithm."""
+    lines = [(v.claim, v.text, f"**{v.verdict}**", v.effect, v.evidence) for v in ledger(plan)]
+    return Table(("", "", "verdict", "effect (95 %)", "evidence"), lines)
+
+
+def score_table(plan: Plan, everything: Mapping[str, Comparison]) -> Table:
+    """Mean scores of both arms on each task."""
+    lines = []
+    for name, comparison in everything.items():
+        for label, changes in (("M = 1", comparison.theirs), ("M = 10", comparison.ours)):
+            cells = [
+                scores.summary(scores.means(plan, plan.over_seeds(env, **changes)))
+                if env in comparison.envs
+                else ""
+                for env in TASKS
+            ]
+            lines.append([name, label, *cells])
+    return Table(("algorithm", "", *TASKS), lines)
+
+
+def ledger(plan: Plan) -> list[Verdict]:
+    """A verdict for each algorithm, at Holm's level over all five."""
+    found = comparisons(plan)
+    tests = {name: test(plan, comparison) for name, comparison in found.items()}
+    adjusted = holm([1.0 if t is None else t.either for t in tests.values()])
+    return [
+        _judge(plan, comparison, tests[name], p)
+        for (name, comparison), p in zip(found.items(), adjusted, strict=True)
+    ]
+
+
+def test(plan: Plan, comparison: Comparison) -> Test | None:
+    """Over the tasks together; None while one lacks an arm."""
+    pairs = comparison.pairs(plan)
+    return van_elteren(list(pairs.values())) if set(pairs) == set(comparison.envs) else None
+
+
+def _judge(plan: Plan, comparison: Comparison, found: Test | None, p: float) -> Verdict:
+    claim, text = comparison.claims[0], comparison.text
+    left = waiting(plan, comparison.runs(plan))
+    if found is None:
+        return Verdict(claim, text, left or undecidable(0))
+    pairs = comparison.pairs(plan)
+    sizes = [(len(ours), len(theirs)) for ours, theirs in pairs.values()]
+    verdict = UNDECIDED if 2 * len(CARRIED) * least_p(sizes) < ALPHA else _cannot(sizes)
+    if p < ALPHA:
+        verdict = SUPPORTED if found.statistic > 0 else CONTRADICTED
+    evidence = f"p = {found.either:.2g}, adjusted {p:.2g}"
+    return Verdict(
+        claim, text, left or verdict, f"P {effect(list(pairs.values())):.2f}", evidence=evidence
+    )
+
+
+def _cannot(sizes: Sequence[tuple[int, int]]) -> str:
+    return undecidable(min(map(min, sizes)))
+
+
+def together(plan: Plan) -> Verdict:
+    """C10: supported if M = 10 is the better one in both algorithms that the paper names."""
+    of_named = [v for v, name in zip(ledger(plan), CARRIED, strict=True) if name in NAMED]
+    verdicts = [verdict.verdict for verdict in of_named]
+    unready = [v for v in verdicts if v not in (SUPPORTED, CONTRADICTED, UNDECIDED)]
+    verdict = UNDECIDED
+    if CONTRADICTED in verdicts:
+        verdict = CONTRADICTED
+    elif unready:
+        verdict = unready[0]
+    elif set(verdicts) == {SUPPORTED}:
+        verdict = SUPPORTED
+    shown = [f"{v.claim.removeprefix('C10 ')} {v.effect}" for v in of_named if v.effect]
+    evidence = "; ".join(f"{v.claim}: {v.evidence}" for v in of_named if v.evidence)
+    text = "the idea carries over to NAF and TRPO: M = 10 beats M = 1 in both"
+    return Verdict("C10", text, verdict, "; ".join(shown), evidence=evidence)
