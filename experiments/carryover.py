@@ -1,11 +1,12 @@
 """Other algorithms with several actions, against themselves with one (C10)."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from experiments import pictures, rows, scores
 from experiments.comparisons import ALPHA, Comparison, Pair
-from experiments.plan import CARRIED, DDPG, MAPG, Plan
+from experiments.plan import DDPG, MAPG, Plan
 from experiments.verdicts import (
     CONTRADICTED,
     SUPPORTED,
@@ -22,6 +23,7 @@ from mapg_jax.training.config import Config
 
 NAMED = ("naf", "trpo")
 """By the paper; C10 is about them."""
+ALGORITHMS = (*NAMED, "ppo", "td3", "sac")
 TASKS = ("pendulum", "hopper", "halfcheetah", "walker2d")
 OF_NAF = ("pendulum", "hopper")
 MARGINAL: Mapping[str, Any] = {"gradient": "marginal"}
@@ -29,14 +31,15 @@ MARGINAL: Mapping[str, Any] = {"gradient": "marginal"}
 
 
 def runs(plan: Plan) -> list[Config]:
-    """All that C10 is judged on, and then what is shown beside it."""
-    judged = [c for comparison in comparisons(plan).values() for c in comparison.runs(plan)]
-    return [*judged, *(c for comparison in beside(plan).values() for c in comparison.runs(plan))]
+    """All that C10 is judged on, and then what is shown beside it; seed by seed of each."""
+    arms = [*comparisons(plan).values(), *beside(plan).values()]
+    by_seed = [sorted(arm.runs(plan), key=lambda config: config.seed) for arm in arms]
+    return list(dict.fromkeys(itertools.chain.from_iterable(by_seed)))
 
 
 def comparisons(plan: Plan) -> dict[str, Comparison]:
     """Of every algorithm, M = 10 and M = 1."""
-    return {name: _comparison(plan, name, {}) for name in CARRIED}
+    return {name: _comparison(plan, name, {}) for name in ALGORITHMS}
 
 
 def beside(plan: Plan) -> dict[str, Comparison]:
@@ -133,7 +136,7 @@ def _judge(plan: Plan, comparison: Comparison, found: Test | None, p: float) -> 
         return Verdict(claim, text, left or undecidable(0))
     pairs = comparison.pairs(plan)
     sizes = [(len(ours), len(theirs)) for ours, theirs in pairs.values()]
-    verdict = UNDECIDED if 2 * len(CARRIED) * least_p(sizes) < ALPHA else _cannot(sizes)
+    verdict = UNDECIDED if 2 * len(ALGORITHMS) * least_p(sizes) < ALPHA else _cannot(sizes)
     if p < ALPHA:
         verdict = SUPPORTED if found.statistic > 0 else CONTRADICTED
     evidence = f"p = {found.either:.2g}, adjusted {p:.2g}"
@@ -148,7 +151,7 @@ def _cannot(sizes: Sequence[tuple[int, int]]) -> str:
 
 def together(plan: Plan) -> Verdict:
     """C10: supported if M = 10 is the better one in both algorithms that the paper names."""
-    of_named = [v for v, name in zip(ledger(plan), CARRIED, strict=True) if name in NAMED]
+    of_named = [v for v, name in zip(ledger(plan), ALGORITHMS, strict=True) if name in NAMED]
     verdicts = [verdict.verdict for verdict in of_named]
     unready = [v for v in verdicts if v not in (SUPPORTED, CONTRADICTED, UNDECIDED)]
     verdict = UNDECIDED

@@ -30,6 +30,8 @@ TITLES: dict[Name, str] = {
     "repeats": "Two runs of version 1, made again",
 }
 """In the order of the page."""
+LATER: tuple[Name, ...] = ("carryover",)
+"""Whose runs come after all others, each in its own order."""
 
 
 def experiment(name: Name):
@@ -42,6 +44,8 @@ def experiment(name: Name):
 
 
 def runs(plan: Plan, names: Sequence[Name]) -> list[Config]:
-    """All runs of those experiments, in the protocol's order."""
-    wanted = itertools.chain.from_iterable(experiment(name).runs(plan) for name in names)
-    return in_order(plan, wanted)
+    """All runs of those experiments, each once: items 1 to 5 of the protocol, then those of LATER."""
+    wanted = set(itertools.chain.from_iterable(experiment(name).runs(plan) for name in names))
+    last = itertools.chain.from_iterable(experiment(name).runs(plan) for name in LATER)
+    later = [config for config in last if config in wanted]
+    return [*in_order(plan, wanted.difference(later)), *later]

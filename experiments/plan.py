@@ -32,8 +32,6 @@ RULES: Mapping[str, Mapping[str, Any]] = {
     "diverse": registry.find("mapg").presets.get("diverse", {}),
 }
 """Of the heads, beside the paper's; those that the algorithm does not have are left out."""
-CARRIED = ("naf", "trpo", "ppo", "td3", "sac")
-"""The other algorithms with several actions, in the order of their runs."""
 FIRST_SEED = 2_000
 """Of the protocol's version 2."""
 EARLIER_SEEDS = 10
@@ -156,7 +154,7 @@ def seeds(config: Config, plan: Plan) -> int:
 
 
 def in_order(plan: Plan, wanted: Iterable[Config]) -> list[Config]:
-    """The runs in the protocol's order, each once; it does not depend on what comes out."""
+    """The runs of items 1 to 5 in the protocol's order, which does not depend on what comes out."""
 
     def rank(config: Config):
         slow = config.env == "humanoid"
@@ -168,9 +166,6 @@ def in_order(plan: Plan, wanted: Iterable[Config]) -> list[Config]:
 
 def item(config: Config, plan: Plan) -> int:
     """Of the protocol's list of runs."""
-    if config.algorithm in CARRIED:
-        last = len(CARRIED) if "gradient" in changed(config, plan) else 0
-        return 6 + CARRIED.index(config.algorithm) + last
     core = is_core(config, plan)
     if config.env not in TASKS or "noise" in changed(config, plan):
         return 3

@@ -4,7 +4,7 @@ import pytest
 from written import write
 
 from experiments import carryover
-from experiments.plan import CARRIED, make_plan
+from experiments.plan import make_plan
 from mapg_jax.reports import inference
 
 
@@ -23,7 +23,10 @@ def write_arms(plan, name, gain, seeds=5):
 
 
 def verdicts(plan):
-    return {name: v.verdict for name, v in zip(CARRIED, carryover.ledger(plan), strict=True)}
+    return {
+        name: v.verdict
+        for name, v in zip(carryover.ALGORITHMS, carryover.ledger(plan), strict=True)
+    }
 
 
 def test_all_algorithms_take_the_same_steps_whole(plan):
