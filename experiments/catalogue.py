@@ -10,8 +10,8 @@ from mapg_jax.training.config import Config
 
 Name = Literal[
     "claims", "effects", "table2", "fig1", "fig5", "fig2", "fig3", "fig4", "torcs", "heads",
-    "returns", "carryover", "overhead",
-    "repeats",
+    "returns", "collapse", "carryover",
+    "overhead", "repeats",
 ]  # fmt: skip
 TITLES: dict[Name, str] = {
     "claims": "The claims",
@@ -25,12 +25,13 @@ TITLES: dict[Name, str] = {
     "torcs": "Driving, for TORCS",
     "heads": "The heads",
     "returns": "What each head returns",
+    "collapse": "Why the heads come together",
     "carryover": "Other algorithms with several actions",
     "overhead": "What the heads cost",
     "repeats": "Two runs of version 1, made again",
 }
 """In the order of the page."""
-LATER: tuple[Name, ...] = ("carryover",)
+LATER: tuple[Name, ...] = ("collapse", "carryover")
 """Whose runs come after all others, each in its own order."""
 
 
@@ -44,7 +45,7 @@ def experiment(name: Name):
 
 
 def runs(plan: Plan, names: Sequence[Name]) -> list[Config]:
-    """All runs of those experiments, each once: items 1 to 5 of the protocol, then those of LATER."""
+    """All runs of those experiments: items 1 to 5 of the protocol, then those of LATER."""
     wanted = set(itertools.chain.from_iterable(experiment(name).runs(plan) for name in names))
     last = itertools.chain.from_iterable(experiment(name).runs(plan) for name in LATER)
     later = [config for config in last if config in wanted]

@@ -86,9 +86,15 @@ class Plan(NamedTuple):
         known = fields(type(self.base))
         return {name: rule for name, rule in RULES.items() if rule and set(rule) <= set(known)}
 
-    def over_seeds(self, env: str, **changes) -> list[Config]:
-        """One cell: its runs over all seeds of the protocol, or the first ones of them."""
-        return list(_cell(self, env, tuple(changes.items())))
+    def over_seeds(self, env: str, count: int | None = None, /, **changes) -> list[Config]:
+        """One cell: its runs over all seeds of the protocol, or the first ones of them.
+
+        Args:
+          env: its task.
+          count: of its seeds; by default what items 1 to 5 of the protocol say.
+          **changes: what sets the cell apart.
+        """
+        return list(_cell(self, env, count, tuple(changes.items())))
 
     def folder(self, config: Config) -> pathlib.Path:
         """Where a run is trained."""
@@ -96,12 +102,14 @@ class Plan(NamedTuple):
 
 
 @functools.cache
-def _cell(plan: Plan, env: str, changes: tuple[tuple[str, Any], ...]) -> tuple[Config, ...]:
+def _cell(
+    plan: Plan, env: str, count: int | None, changes: tuple[tuple[str, Any], ...]
+) -> tuple[Config, ...]:
     """Made once: a page asks for the same cells many times."""
     first = plan.config(env, FIRST_SEED if plan.version == 2 else 0, **dict(changes))
-    most = seeds(first, plan) if plan.version == 2 else EARLIER_SEEDS
-    count = most if plan.seeds is None else min(plan.seeds, most)
-    return tuple(dataclasses.replace(first, seed=first.seed + k) for k in range(count))
+    most = (count or seeds(first, plan)) if plan.version == 2 else EARLIER_SEEDS
+    wanted = most if plan.seeds is None else min(plan.seeds, most)
+    return tuple(dataclasses.replace(first, seed=first.seed + k) for k in range(wanted))
 
 
 def make_plan(
