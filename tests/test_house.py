@@ -20,6 +20,7 @@ ROOMS = {
         "returns",
         "mixture",
         "repulsion",
+        "optima",
         "twin_critics",
         "head_options",
         "deterministic",

@@ -42,7 +42,8 @@ def share_found(
     values = q_values(jnp.broadcast_to(actions, (*batch, *actions.shape)))
     optimum = _optima(values.reshape(*batch, *(ACROSS,) * action_size), action_size)
     optimum = optimum.reshape(*batch, -1)
-    off = jnp.abs(proposals[..., None, :, :] - actions[:, None, :]).max(-1)  # [*B, K, M]
+    points = jnp.expand_dims(actions[:, None], range(len(batch)))
+    off = jnp.abs(proposals[..., None, :, :] - points).max(-1)  # [*B, K, M]
     near = (off <= NEAR) & head_rules.in_use(heads, off.shape)
     return (optimum & near.any(-1)).sum(-1) / optimum.sum(-1)
 

@@ -136,7 +136,7 @@ def share(some: int, all_: int, level: float = LEVEL) -> Estimate:
     return Estimate(some / all_, float(found.low), float(found.high))
 
 
-def holm(ps: Sequence[float]) -> list[float]:
+def holm(ps: Scores) -> list[float]:
     r"""p's of k tests, adjusted so that one of them is below a level with that chance at most.
 
     $\tilde p_{(i)} = \max_{j \le i} \min(1, (k - j + 1) p_{(j)})$ (Holm 1979).

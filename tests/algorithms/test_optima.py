@@ -12,8 +12,8 @@ def bumps(centres, heights, width=0.2):
     """Q with a peak of each height at each centre, of any K actions."""
 
     def q_values(actions):
-        squares = jnp.square(actions[..., None, :] - jnp.asarray(centres)).sum(-1)
-        return (jnp.asarray(heights) * jnp.exp(-squares / width**2)).max(-1)
+        squares = jnp.square(actions[:, None] - jnp.asarray(centres)[None]).sum(-1)
+        return (jnp.asarray(heights)[None] * jnp.exp(-squares / width**2)).max(-1)
 
     return q_values
 

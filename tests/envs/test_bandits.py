@@ -85,6 +85,8 @@ def test_an_action_lies_at_the_optimum_that_pays_for_it(name, action, optimum):
 def test_what_a_score_counts():
     optima = [4, 4, 0, 1]  # of four episodes
     numbers = {m.name: m.over(optima) for m in envs.make("four_bump_bandit").scored_metrics}
+    entropy = (np.log(3) / 3 + np.log(3 / 2) * 2 / 3) / np.log(4)
+    assert numbers.pop("optimum_entropy") == pytest.approx(entropy, rel=1e-12)
     assert numbers == {
         "optima_reached": 2,
         "optimum_1_share": 0.25,

@@ -41,14 +41,11 @@ def slow_play(agent, state, key, select):
     look = jax.jit(agent.proposals)
     step, reset = jax.jit(ENV.step), jax.jit(ENV.reset)
     returns, lengths, spreads, gaps, means, distances, shares = [], [], [], [], [], [], []
-    lattice = np.linspace(-1, 1, 41, dtype=np.float32)[:, None]
+    lattice = jnp.linspace(-1, 1, 41)[:, None]
     for episode, start in enumerate(jax.random.split(start_key, EPISODES)):
         env_state, total, t = reset(start), 0.0, 0
-        shares.append(
-            oracles.optima_share(
-                agent.q_values(state, env_state.obs, lattice), look(state, env_state.obs)[0]
-            )
-        )
+        q_values = agent.q_values(state, env_state.obs, lattice)
+        shares.append(oracles.optima_share(q_values, look(state, env_state.obs)[0]))
         while True:
             proposals, values = map(np.asarray, look(state, env_state.obs))
             spreads.append(oracles.spread(proposals))
