@@ -2,14 +2,14 @@
 
 import pathlib
 from collections.abc import Sequence
-from typing import NamedTuple, TextIO
+from typing import NamedTuple
 
 from experiments import curves, page, rows, scores
 from experiments.catalogue import TITLES, Name, experiment, runs
 from experiments.plan import Plan
 from mapg_jax.reports.results import UnfinishedError, run_key, settings, versions
 from mapg_jax.runs.folder import RunFolder, create_folder, is_blank, this_process
-from mapg_jax.runs.locking import lock
+from mapg_jax.runs.locking import Lock, lock
 from mapg_jax.runs.member import DIVERGED
 from mapg_jax.runs.signals import StoppedError
 from mapg_jax.sweeps.sweep import carry_out, make_schedule
@@ -71,7 +71,7 @@ def conclude(plan: Plan, names: Sequence[Name]) -> Made:
         return Made(page.write(plan, sections), sections, failures)
 
 
-def training_lock(plan: Plan) -> TextIO:
+def training_lock(plan: Plan) -> Lock:
     """Two processes would both train what is missing."""
     create_folder(plan.results)  # a page that could not be written is found out before training
     create_folder(plan.runs)
@@ -82,7 +82,7 @@ def training_lock(plan: Plan) -> TextIO:
     )
 
 
-def writing_lock(plan: Plan) -> TextIO:
+def writing_lock(plan: Plan) -> Lock:
     """Two processes that add rows to the same files would lose some."""
     create_folder(plan.results)
     return lock(plan.results / ".writing.lock", wait=True)

@@ -145,7 +145,7 @@ def untrained_run(config: Config, path: pathlib.Path) -> RunFolder:
     state = run.trainer.jitted_init(config.seed)
     if state.replay is not None:
         state = state.replace(replay=state.replay.replace(size=jnp.int32(1)))
-    Checkpoints(run.folder.checkpoints, kept=1).save(state, {"seconds": 0.0})
+    run.members[0].save(state, 0.0)
     return run.folder
 
 
@@ -184,7 +184,7 @@ def copy_run(run: RunFolder, path: pathlib.Path, upto: int | None = None) -> Run
 def newest_state(folder: RunFolder) -> TrainState:
     """The state of its newest checkpoint."""
     shapes = trainer.make_trainer(folder.config).shapes
-    return Checkpoints(folder.checkpoints).load(shapes)[0]
+    return Checkpoints(folder.checkpoints, config=folder.digest).load(shapes)[0]
 
 
 def metrics_without_clock(folder: RunFolder) -> list[dict[str, str]]:

@@ -1,14 +1,18 @@
-"""Checkpoints by Orbax: written whole or not at all, the newest ones kept.
+"""Checkpoints by Orbax: written whole or not at all, sealed, and read as they were written.
 
-A checkpoint has two parts: `agent`, enough to act and evaluate, and `rest`, what else a run needs
-to go on bit for bit. Only the filled slots of the replay are written. Leaves are stored under
-their paths in the tree, random keys as their bits; nothing is pickled.
+A checkpoint has three parts: `agent`, enough to act and evaluate; `rest`, what else a run needs to
+go on bit for bit; and `host`, its seal: digests of every array, of the configuration, of itself.
+Only the filled slots of the replay are written. Leaves are stored under their paths in the tree,
+random keys as their bits; nothing is pickled.
 """
 
+import hashlib
+import json
 import logging
 import pathlib
 import shutil
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,96 +23,221 @@ from mapg_jax.training import replay
 from mapg_jax.training.agent import AgentState
 from mapg_jax.training.state import TrainState
 
-logging.getLogger("absl").setLevel(logging.ERROR)  # Orbax logs every save at WARNING
+# Orbax logs every save at WARNING, and what it raises besides at ERROR.
+logging.getLogger("absl").setLevel(logging.CRITICAL)
+LOG = logging.getLogger(__name__)
+
+
+class DamagedError(ValueError):
+    """A checkpoint is not what was written."""
+
+
+class _Record(NamedTuple):
+    """What a checkpoint says of itself, as JSON."""
+
+    env_steps: int
+    config: str
+    """The digest of the run's configuration."""
+    host: dict[str, Any]
+    """The host's own numbers."""
+    leaves: dict[str, dict[str, Any]]
+    """By part and name: shape, dtype and digest."""
 
 
 class Checkpoints:
     """The checkpoints of a run folder."""
 
-    def __init__(self, path: pathlib.Path, kept: int | None = None):
+    def __init__(self, path: pathlib.Path, kept: int | None = None, config: str = ""):
+        """Reads; it writes too where it is told how many to keep.
+
+        Args:
+          path: their folder.
+          kept: how many.
+          config: the digest of the run's configuration, which is sealed with each of them.
+        """
         options = ocp.CheckpointManagerOptions(
             max_to_keep=kept, enable_async_checkpointing=False, create=kept is not None
         )
-        self.path = path
+        self.path, self._config = path, config
         self._manager = ocp.CheckpointManager(path.absolute(), options=options)
+
+    def steps(self) -> list[int]:
+        """Environment steps of all complete checkpoints, the newest last."""
+        return sorted(self._manager.all_steps())
 
     def newest(self) -> int | None:
         """Environment steps of the newest complete checkpoint; None without one."""
         return self._manager.latest_step()
 
-    def save(self, state: TrainState, host: dict[str, Any]) -> None:
+    def save(self, state: TrainState, host: Mapping[str, Any]) -> None:
         """Writes the state and the host's own numbers (JSON)."""
         rest = state.replace(agent=None)
         if state.replay is not None:
             rest = rest.replace(replay=replay.trim(state.replay))
-        args = ocp.args.Composite(
-            agent=ocp.args.StandardSave(_flatten(state.agent)),
-            rest=ocp.args.StandardSave(_flatten(rest)),
-            host=ocp.args.JsonSave(host),
-        )
-        self._manager.save(int(state.env_steps), args=args, force=True)
+        parts = {"agent": _flatten(state.agent), "rest": _flatten(rest)}
+        step = int(state.env_steps)
+        digests = {
+            part: {name: _digest(leaf) for name, leaf in leaves.items()}
+            for part, leaves in parts.items()
+        }
+        record = _Record(step, self._config, dict(host), digests)
+        saved = {part: ocp.args.StandardSave(leaves) for part, leaves in parts.items()}
+        sealed = {**record._asdict(), "seal": _seal(record)}
+        args = ocp.args.Composite(**saved, host=ocp.args.JsonSave(sealed))
+        self._manager.save(step, args=args, force=True)
 
     def drop_replay(self) -> None:
         """Leaves the agents: enough to act and to evaluate, not to train further."""
         for step in self._manager.all_steps():
             shutil.rmtree(self.path / str(step) / "rest", ignore_errors=True)
 
-    def can_go_on(self) -> bool:
-        """Whether the newest checkpoint is whole, or only its agent is left."""
-        return (self.path / str(self.newest()) / "rest").exists()
+    def can_go_on(self, step: int) -> bool:
+        """Whether that checkpoint is whole, or only its agent is left."""
+        return (self.path / str(step) / "rest").exists()
 
-    def load(self, shapes: Any) -> tuple[Any, dict[str, Any]]:
-        """The newest state, and the host's numbers.
+    def drop_leftovers(self) -> None:
+        """Removes what a process that was killed had half written."""
+        for folder in self.path.glob("*.orbax-checkpoint-tmp*"):
+            shutil.rmtree(folder)
+
+    def drop_after(self, step: int) -> None:
+        """Removes those of later steps: a run that goes on from `step` makes them again."""
+        for later in self.steps():
+            if later > step:
+                shutil.rmtree(self.path / str(later))
+        self._manager.reload()
+
+    def set_aside(self, error: DamagedError, step: int) -> None:
+        """Renames a damaged checkpoint, and says so: the one before it is the newest then."""
+        number, place = 1, self.path / f"{step}.damaged"
+        while place.exists():
+            number, place = number + 1, self.path / f"{step}.damaged-{number}"
+        (self.path / str(step)).rename(place)
+        self._manager.reload()
+        LOG.warning("%s; it is set aside as %s", error, place.name)
+
+    def load(self, shapes: Any, step: int | None = None) -> tuple[Any, dict[str, Any]]:
+        """A state, and the host's numbers.
 
         Args:
           shapes: the state's shapes, as `jax.eval_shape` gives them.
+          step: of the checkpoint; by default the newest.
 
         Raises:
-          ValueError: if there is none, or it does not fit or is damaged.
+          DamagedError: if it is not what was written.
+          ValueError: if there is none, or it is of another configuration.
         """
-        step = self._newest()
-        agent = self._load_agent(step, shapes.agent)
-        restored = self._restore(step, "rest", ocp.args.StandardRestore())
-        host = self._restore(step, "host", ocp.args.JsonRestore())
-        rest_shapes = shapes.replace(agent=None)
-        rest = self._unflatten(rest_shapes, restored)
-        return rest.replace(agent=agent), host
+        step = self.newest() if step is None else step
+        if step is None:
+            raise self._none()
+        record = self._record(step)
+        agent = self._load(step, "agent", shapes.agent, record)
+        rest = self._load(step, "rest", shapes.replace(agent=None), record)
+        return rest.replace(agent=agent), dict(record.host)
 
     def load_agent(self, shapes: AgentState) -> tuple[AgentState, int]:
-        """The newest agent, and its environment steps; the replay is not read."""
-        step = self._newest()
-        return self._load_agent(step, shapes), step
+        """The newest agent that is whole, and its environment steps; the replay is not read.
 
-    def _newest(self) -> int:
-        if (step := self.newest()) is None:
-            raise ValueError(f"{self.path.parent} has no complete checkpoint")
-        return step
+        Raises:
+          ValueError: if there is none, or it is of another configuration.
+        """
+        damages = []
+        for step in reversed(self.steps()):
+            try:
+                agent = self._load(step, "agent", shapes, self._record(step))
+            except DamagedError as error:
+                damages.append(error)
+                continue
+            for damage in damages:
+                LOG.warning("%s; the one of step %s is used", damage, f"{step:,}")
+            return agent, step
+        raise damages[0] if damages else self._none()
 
-    def _load_agent(self, step: int, shapes: AgentState) -> AgentState:
-        return self._unflatten(shapes, self._restore(step, "agent", ocp.args.StandardRestore()))
+    def _none(self) -> ValueError:
+        return ValueError(f"{self.path.parent} has no complete checkpoint")
+
+    def _record(self, step: int) -> "_Record":
+        """What a checkpoint says of itself."""
+        stored = self._restore(step, "host", ocp.args.JsonRestore())
+        try:
+            record = _Record(**{name: stored[name] for name in _Record._fields})
+            sealed = stored["seal"] == _seal(record) and record.env_steps == int(record.env_steps)
+        except (KeyError, TypeError, ValueError):
+            sealed = False
+        if not sealed:
+            raise self._damaged(step, "its seal is broken")
+        if record.env_steps != step:
+            raise self._damaged(step, f"it is that of step {record.env_steps:,}")
+        if record.config != self._config:
+            raise ValueError(
+                f"{self.path.parent}: config.json is not the configuration that the checkpoint "
+                f"{self.path.name}/{step} was made with"
+            )
+        return record
+
+    def _load(self, step: int, part: str, shapes: Any, record: "_Record") -> Any:
+        leaves, structure = jax.tree_util.tree_flatten_with_path(shapes)
+        wanted = {jax.tree_util.keystr(path): shape for path, shape in leaves}
+        digests = record.leaves[part]
+        self._refuse_other_shapes(step, part, wanted, digests)
+        stored = self._restore(step, part, ocp.args.StandardRestore())
+        for name, digest in digests.items():
+            if _digest(stored[name]) != digest:
+                raise self._damaged(step, f"{part}{name} is not what was written")
+            if name.startswith(".learner") and not np.isfinite(stored[name]).all():
+                raise self._damaged(step, f"{part}{name} is not finite")
+        values = [_as_leaf(stored.get(name), shape) for name, shape in wanted.items()]
+        return jax.tree_util.tree_unflatten(structure, values)
+
+    def _refuse_other_shapes(self, step, part: str, wanted, digests: dict[str, Any]) -> None:
+        """Before an array is read, whose size would otherwise be what a file says."""
+        expected = {name: _stored(shape) for name, shape in wanted.items() if shape.size}
+        if set(expected) != set(digests):
+            raise ValueError(
+                f"{self.path.parent}: the checkpoint is of another configuration, or engine"
+            )
+        for name, leaf in expected.items():
+            shape, ours = tuple(digests[name]["shape"]), leaf.shape
+            if name.startswith(".replay.data") and shape[:1] <= ours[:1]:
+                shape, ours = shape[1:], ours[1:]  # only filled slots are written
+            if shape != ours:
+                raise ValueError(
+                    f"{self.path.parent}: the checkpoint holds {shape} where {ours} is expected"
+                )
+        try:
+            with ocp.StandardCheckpointer() as checkpointer:
+                path = (self.path / str(step) / part).absolute()
+                found = checkpointer.metadata(path).item_metadata.tree
+            sizes = {name: [list(array.shape), str(array.dtype)] for name, array in found.items()}
+        except Exception as error:  # Orbax and TensorStore raise many kinds
+            raise self._damaged(step, _reason(error)) from error
+        if sizes != {name: [digest["shape"], digest["dtype"]] for name, digest in digests.items()}:
+            raise self._damaged(step, f"its arrays of {part} are of other sizes")
 
     def _restore(self, step: int, item: str, arguments) -> Any:
         try:
             return self._manager.restore(step, args=ocp.args.Composite(**{item: arguments}))[item]
         except Exception as error:  # Orbax and TensorStore raise many kinds
-            reason = (str(error).strip() or repr(error)).splitlines()[0][:200]
-            raise ValueError(
-                f"the checkpoint {self.path / str(step)} is damaged ({reason}); "
-                "remove that folder to go on from the one before"
-            ) from error
+            raise self._damaged(step, _reason(error)) from error
 
-    def _unflatten(self, shapes: Any, stored: dict[str, Any]) -> Any:
-        leaves, structure = jax.tree_util.tree_flatten_with_path(shapes)
-        named = [(jax.tree_util.keystr(path), shape) for path, shape in leaves]
-        if {name for name, shape in named if shape.size} != set(stored):
-            raise ValueError(
-                f"{self.path.parent}: the checkpoint is of another configuration, or engine"
-            )
-        values = [
-            _as_leaf(stored.get(name), shape, name.startswith(".replay.data"))
-            for name, shape in named
-        ]
-        return jax.tree_util.tree_unflatten(structure, values)
+    def _damaged(self, step: int, reason: str) -> DamagedError:
+        return DamagedError(f"the checkpoint {self.path / str(step)} is damaged ({reason})")
+
+
+def _reason(error: Exception) -> str:
+    return (str(error).strip() or repr(error)).splitlines()[0][:200]
+
+
+def _digest(leaf: np.ndarray) -> dict[str, Any]:
+    """What an array is to be when it is read again."""
+    leaf = np.asarray(leaf)
+    content = hashlib.blake2b(np.ascontiguousarray(leaf).view(np.uint8).data, digest_size=16)
+    return {"shape": list(leaf.shape), "dtype": str(leaf.dtype), "digest": content.hexdigest()}
+
+
+def _seal(record: "_Record") -> str:
+    text = json.dumps(record._asdict(), sort_keys=True)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def _flatten(tree: Any) -> dict[str, Any]:
@@ -125,14 +254,18 @@ def _as_array(leaf: jax.Array | np.ndarray) -> np.ndarray:
     return np.asarray(jax.random.key_data(leaf) if _is_key(leaf.dtype) else leaf)
 
 
-def _as_leaf(stored: Any, shape: jax.ShapeDtypeStruct, padded: bool) -> jax.Array:
-    value = np.zeros(shape.shape, shape.dtype) if stored is None else np.asarray(stored)
+def _stored(shape: jax.ShapeDtypeStruct) -> jax.ShapeDtypeStruct:
+    """Of the array that a leaf is stored as."""
+    return jax.eval_shape(jax.random.key_data, shape) if _is_key(shape.dtype) else shape
+
+
+def _as_leaf(stored: np.ndarray | None, shape: jax.ShapeDtypeStruct) -> jax.Array:
+    """The leaf of that shape: of the replay, slots that were not filled are zeros."""
     if _is_key(shape.dtype):
-        return jax.random.wrap_key_data(jnp.asarray(value))
-    if padded:
+        return jax.random.wrap_key_data(jnp.asarray(stored))
+    if stored is None or stored.shape != shape.shape:
         whole = np.zeros(shape.shape, shape.dtype)
-        whole[: len(value)] = value
-        value = whole
-    if value.shape != shape.shape:
-        raise ValueError(f"the checkpoint holds {value.shape} where {shape.shape} is expected")
-    return jnp.asarray(value, shape.dtype)
+        if stored is not None:
+            whole[: len(stored)] = stored
+        stored = whole
+    return jnp.asarray(stored, shape.dtype)

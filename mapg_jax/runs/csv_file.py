@@ -18,11 +18,11 @@ def read(path: pathlib.Path, *, cut_short: bool = False) -> tuple[list[str], lis
       ValueError: if it is no CSV.
     """
     try:
-        text = path.read_text() if path.exists() else ""
+        text = path.read_text("utf-8") if path.exists() else ""
         if cut_short:
             text = text[: text.rfind("\n") + 1]
         header, *rows = list(csv.reader(io.StringIO(text), strict=True)) or [[]]
-    except (csv.Error, UnicodeDecodeError) as error:
+    except (csv.Error, OSError, UnicodeDecodeError) as error:
         raise ValueError(f"{path} is no CSV: {error}") from None
     if cut_short:
         rows = [row for row in rows if len(row) == len(header)]

@@ -3,15 +3,17 @@
 import contextlib
 import dataclasses
 import datetime
+import hashlib
 import importlib.metadata
 import json
 import os
 import pathlib
 import platform
 import shlex
+import stat
 import sys
 from collections.abc import Mapping
-from typing import Any, TextIO
+from typing import Any
 
 from mapg_jax.runs import locking
 from mapg_jax.training.config import Config, fields
@@ -19,6 +21,8 @@ from mapg_jax.training.config import Config, fields
 FORMAT = 3
 """Of run folders. Format 1 (no number in it) had one list of fields for all algorithms; the states
 of format 2 know no head that is held."""
+CONFIG_BYTES = 1_000_000
+"""Of config.json, at most: a thousand resumptions take less."""
 PACKAGES = ("mapg-jax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "brax", "mujoco",
             "mujoco-mjx", "gymnasium", "numpy")  # fmt: skip
 
@@ -45,6 +49,13 @@ class RunFolder:
     @property
     def curve(self) -> pathlib.Path:
         return self.path / "curve.png"
+
+    @property
+    def digest(self) -> str:
+        """Of the configuration, without the steps, of which a run can be given more."""
+        values = {k: v for k, v in values_of(self.config).items() if k != "steps"}
+        text = json.dumps(values, sort_keys=True)
+        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
     @classmethod
     def create(cls, path: str | os.PathLike | None, config: Config) -> "RunFolder":
@@ -76,11 +87,12 @@ class RunFolder:
             raise ValueError(f"there is no run folder {path}")
         if not file.is_file():
             raise ValueError(f"{path} is not a run folder: it has no config.json")
+        refuse_special_files(path)
+        record = _read_record(file)
         try:
-            record = json.loads(file.read_text())
             found, values = record.get("format", 1), record["config"]
             config = parse_config(values) if found == FORMAT else None
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{file} is damaged: {error}") from None
         if config is None:
             raise ValueError(
@@ -92,14 +104,14 @@ class RunFolder:
     def write_config(self) -> None:
         """Everything needed to run it again, and every command that went on with it."""
         file = self.path / "config.json"
-        earlier = json.loads(file.read_text()).get("history", []) if file.exists() else []
+        earlier = _read_record(file)["history"] if file.exists() else []
         history = [*earlier, this_process()]
         write_json(file, {"format": FORMAT, "config": values_of(self.config), "history": history})
 
     def write_host(self, host: Mapping[str, str]) -> None:
         """What this process, the last of the history, trains by; see `host.this_host`."""
         file = self.path / "config.json"
-        record = json.loads(file.read_text())
+        record = _read_record(file)
         record["history"][-1]["host"] = dict(host)
         write_json(file, record)
 
@@ -114,7 +126,7 @@ class RunFolder:
         except (AttributeError, OSError, TypeError, ValueError):
             return -1
 
-    def lock(self) -> TextIO:
+    def lock(self) -> locking.Lock:
         """Held while the run is trained; see `locking.lock`."""
         return locking.lock(self.path / ".lock", f"another process trains {self.path}")
 
@@ -163,6 +175,37 @@ def is_blank(path: pathlib.Path) -> bool:
     if not path.exists():
         return True
     return path.is_dir() and {file.name for file in path.iterdir()} <= {"config.partial"}
+
+
+def refuse_special_files(path: pathlib.Path) -> None:
+    """Raises ValueError if a folder holds anything but folders and files of its own.
+
+    What is written through a link lands elsewhere, and a pipe is waited for without end.
+    """
+    for folder, folders, files in os.walk(path):
+        for file in (pathlib.Path(folder, name) for name in (*folders, *files)):
+            if not stat.S_ISDIR(mode := file.lstat().st_mode) and not stat.S_ISREG(mode):
+                what = "a link" if stat.S_ISLNK(mode) else "no file"
+                raise ValueError(f"{file} is {what}, and a run folder holds files of its own alone")
+    for name in ("config.json", "metrics.csv", "evaluation.json", "curve.png", ".lock"):
+        if (path / name).is_dir():
+            raise ValueError(f"{path / name} is a folder, and should be a file")
+
+
+def _read_record(file: pathlib.Path) -> dict[str, Any]:
+    """config.json, of which nothing is believed."""
+    try:
+        if file.stat().st_size > CONFIG_BYTES:
+            raise ValueError(f"it has more than {CONFIG_BYTES:,} bytes")
+        record = json.loads(file.read_text("utf-8"))
+        if type(record) is not dict or type(record.get("config")) is not dict:
+            raise ValueError("it has no configuration")
+        history = record.setdefault("history", [])
+        if type(history) is not list or not all(type(entry) is dict for entry in history):
+            raise ValueError("its history is no list of entries")
+    except (OSError, RecursionError, ValueError) as error:
+        raise ValueError(f"{file} is damaged: {error}") from None
+    return record
 
 
 def write_json(path: pathlib.Path, record: dict[str, Any]) -> None:

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mapg_jax.runs.checkpoints import Checkpoints
+from mapg_jax.runs.checkpoints import Checkpoints, DamagedError
 from mapg_jax.runs.folder import RunFolder
-from mapg_jax.runs.metrics import MetricsFile, cut_metrics
+from mapg_jax.runs.metrics import MetricsFile, cut_metrics, rows_digest
 from mapg_jax.training.evaluation import Played, summarize
 from mapg_jax.training.state import Totals
 from mapg_jax.training.trainer import Trainer
@@ -26,27 +26,48 @@ class Member:
 
     def __init__(self, folder: RunFolder):
         self.folder, self.config = folder, folder.config
-        self.checkpoints = Checkpoints(folder.checkpoints, folder.config.checkpoints_kept)
+        self.checkpoints = Checkpoints(
+            folder.checkpoints, folder.config.checkpoints_kept, folder.digest
+        )
         self.seconds_before = 0.0  # of earlier processes
         self.failure: DivergedError | None = None
 
-    def load(self, shapes: Any) -> Any:
-        """The state of the newest checkpoint."""
-        if not self.checkpoints.can_go_on():
+    def load(self, shapes: Any, step: int) -> Any:
+        """The state of a checkpoint; one that is damaged is set aside.
+
+        Raises:
+          DamagedError: if it is.
+          ValueError: if it is of another configuration, or nothing is left but the agent, or
+            metrics.csv is not what the run had written until then.
+        """
+        if not self.checkpoints.can_go_on(step) and self.folder.scored_steps() >= step:
             raise ValueError(
                 f"{self.folder.path} finished without keeping its replay, so that it cannot be "
                 "trained further; train it anew, or sweep with --keep-replay"
             )
-        state, host = self.checkpoints.load(shapes)
-        self.seconds_before = host["seconds"]
+        try:
+            state, host = self.checkpoints.load(shapes, step)
+        except DamagedError as error:
+            self.checkpoints.set_aside(error, step)
+            raise
+        if host["metrics"] != rows_digest(self.folder.metrics, step):
+            raise ValueError(
+                f"{self.folder.metrics} is damaged: up to step {step:,} its rows are not those "
+                "that were written"
+            )
+        self.seconds_before = float(host["seconds"])
         return state
 
     def save(self, state: Any, seconds: float) -> None:
         """A checkpoint of a plain state, `seconds` into this process's part of the run."""
-        self.checkpoints.save(state, {"seconds": self.seconds_before + seconds})
+        metrics = rows_digest(self.folder.metrics, int(state.env_steps))
+        host = {"seconds": self.seconds_before + seconds, "metrics": metrics}
+        self.checkpoints.save(state, host)
 
     def metrics_file(self, env_steps: int) -> MetricsFile:
-        """metrics.csv, cut back to `env_steps`; the score is of an earlier policy and goes."""
+        """metrics.csv, cut back to `env_steps`; what came later goes, an earlier score too."""
+        self.checkpoints.drop_leftovers()
+        self.checkpoints.drop_after(env_steps)
         cut_metrics(self.folder.metrics, env_steps)
         self.folder.evaluation.unlink(missing_ok=True)
         return MetricsFile(self.folder.metrics, env_steps)

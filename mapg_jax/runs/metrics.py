@@ -1,5 +1,7 @@
 """The rows of a run: metrics.csv and TensorBoard, one row an evaluation."""
 
+import hashlib
+import json
 import math
 import os
 import pathlib
@@ -34,15 +36,23 @@ class MetricsFile:
         for name, value in row.items():
             if name != "env_steps" and not math.isnan(value):  # it would warn at each
                 self._writer.add_scalar(name, value, int(row["env_steps"]))
+        self._writer.flush()  # else what was written in the last minutes dies with the process
 
     def close(self) -> None:
         self._writer.close()
 
 
 def read_metrics(path: pathlib.Path) -> list[dict[str, float]]:
-    """The rows of a metrics.csv; none if there is no file."""
+    """The rows of a metrics.csv; none if there is no file.
+
+    Raises:
+      ValueError: if it is no such file.
+    """
     header, rows = csv_file.read(path, cut_short=True)
-    return [dict(zip(header, map(float, row), strict=True)) for row in rows]
+    try:
+        return [dict(zip(header, map(float, row), strict=True)) for row in rows]
+    except ValueError as error:
+        raise ValueError(f"{path} is damaged: {error}") from None
 
 
 def cut_metrics(path: pathlib.Path, env_steps: int) -> None:
@@ -51,12 +61,28 @@ def cut_metrics(path: pathlib.Path, env_steps: int) -> None:
     A last line that was cut short is dropped too, and a file left without rows is removed, so that
     the next row writes a whole header.
     """
-    header, rows = csv_file.read(path, cut_short=True)
-    kept = [row for row in rows if row[0].isdigit() and int(row[0]) <= env_steps]
+    header, kept = _until(path, env_steps)
     if kept:
         csv_file.write(path, header, kept)
     else:
         path.unlink(missing_ok=True)
+
+
+def rows_digest(path: pathlib.Path, env_steps: int) -> str:
+    """Of the header and the rows up to `env_steps`: of what `cut_metrics` leaves."""
+    header, kept = _until(path, env_steps)
+    text = json.dumps([header, *kept] if kept else [])
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def _until(path: pathlib.Path, env_steps: int) -> tuple[list[str], list[list[str]]]:
+    header, rows = csv_file.read(path, cut_short=True)
+    return header, [row for row in rows if _step(row) <= env_steps]
+
+
+def _step(row: list[str]) -> float:
+    """Of a row; one that has none is after every step."""
+    return int(row[0]) if row[0].isascii() and row[0].isdigit() else math.inf
 
 
 def _text(value: int | float) -> str:

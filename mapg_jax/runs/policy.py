@@ -104,7 +104,7 @@ def open_policy(folder: RunFolder, seed: int = 0, select: str = "uniform") -> Po
     env = config.make_env()
     agent = make_agent(config, env.action_size)
     shapes = agent_shapes(config, agent, env.observation_size)
-    state, env_steps = Checkpoints(folder.checkpoints).load_agent(shapes)
+    state, env_steps = Checkpoints(folder.checkpoints, config=folder.digest).load_agent(shapes)
     return Policy(env, agent, state, env_steps, seed, select)
 
 

@@ -1,18 +1,21 @@
 """The host's side of a run: between chunks it logs, evaluates, checkpoints and obeys."""
 
 import contextlib
+import functools
 import math
 import pathlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mapg_jax.runs.checkpoints import DamagedError
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.host import this_host
+from mapg_jax.runs.locking import Lock
 from mapg_jax.runs.member import Member
 from mapg_jax.runs.metrics import MetricsFile, Row
 from mapg_jax.runs.progress import Progress
@@ -39,10 +42,26 @@ Callback = Callable[[Event], object]
 class Run:
     """A run under way on the host, or several in lockstep; it counts in the trainer's turns."""
 
-    def __init__(self, program: Lockstep, folders: Sequence[RunFolder]):
+    def __init__(
+        self,
+        program: Lockstep,
+        folders: Sequence[RunFolder],
+        locks: Sequence[Lock] = (),
+        idle: Collection[int] = (),
+    ):
+        """A run that has not begun.
+
+        Args:
+          program: of its configurations.
+          folders: of its members.
+          locks: of those folders, where they are held already.
+          idle: members that are done or lost, and only keep their place in the program, without
+            which the others would be those of another program and differ in their last bits.
+        """
         config = folders[0].config
         self.program, self.config = program, config
         self.members = [Member(folder) for folder in folders]
+        self._locks, self._idle = locks, frozenset(idle)
         self.turn = 0
         self.last_turn = math.ceil(config.steps / self.trainer.steps_per_turn)
         self._turns_per_evaluation = max(
@@ -70,15 +89,39 @@ class Run:
         return self.turn >= self.last_turn
 
     def restore(self) -> None:
-        """Takes up the newest checkpoints, if there are any; all must be of one step."""
-        (newest,) = {member.checkpoints.newest() for member in self.members}
-        if newest is None:
+        """Takes up the newest checkpoint that all members have; without one, nothing is done yet.
+
+        Raises:
+          ValueError: if it is of another configuration.
+        """
+        while (step := self._newest_of_all()) is not None:
+            self.turn = step // self.trainer.steps_per_turn
+            working = self._healthy()
+            if self.finished and not all(
+                self.members[k].checkpoints.can_go_on(step) for k in working
+            ):
+                return  # nothing is left to do with the state
+            try:
+                states = [self._loaded(k, step) for k in range(len(self.members))]
+            except DamagedError:  # it has been set aside
+                continue
+            self._state = self.program.join(states)
             return
-        self.turn = newest // self.trainer.steps_per_turn
-        if self.finished and not all(m.checkpoints.can_go_on() for m in self.members):
-            return  # nothing is left to do with the state
-        shapes = self.program.plain_shapes
-        self._state = self.program.join([m.load(shapes(k)) for k, m in enumerate(self.members)])
+        self.turn = 0
+
+    def _newest_of_all(self) -> int | None:
+        common = [set(self.members[k].checkpoints.steps()) for k in self._healthy()]
+        return max(set.intersection(*common), default=None)
+
+    def _loaded(self, k: int, step: int) -> Any:
+        """The state of a member alone; an idle one's is of no use, and may be any."""
+        if k in self._idle:
+            return self.program.plain_state(self._fresh, k)
+        return self.members[k].load(self.program.plain_shapes(k), step)
+
+    @functools.cached_property
+    def _fresh(self) -> Any:
+        return self.program.init()
 
     def go(
         self,
@@ -102,13 +145,17 @@ class Run:
         """
         with contextlib.ExitStack() as stack:
             host = this_host(self.trainer.env.backend)
-            for member in self.members:
-                stack.enter_context(member.folder.lock())
+            working = [self.members[k] for k in self._healthy()]
+            for lock in self._locks or [member.folder.lock() for member in working]:
+                stack.enter_context(lock)
+            for member in working:
                 member.folder.write_host(host)
-            metrics = [
-                stack.enter_context(contextlib.closing(member.metrics_file(self.env_steps)))
-                for member in self.members
-            ]
+            metrics = {
+                member.folder.path: stack.enter_context(
+                    contextlib.closing(member.metrics_file(self.env_steps))
+                )
+                for member in working
+            }
             bar = stack.enter_context(
                 Progress(self.last_turn * self.trainer.steps_per_turn, progress)
             )
@@ -142,8 +189,9 @@ class Run:
         rate = watch.interval.rate()
         rows = self._rows(state, rate, watch.seconds())
         for k, row in rows.items():
-            watch.metrics[k].write(row)
-            watch.call(Event("evaluation", self.members[k].folder.path, self.env_steps, row))
+            path = self.members[k].folder.path
+            watch.metrics[path].write(row)
+            watch.call(Event("evaluation", path, self.env_steps, row))
         watch.evaluated(next(iter(rows.values())), (self.last_turn - self.turn) / rate)
 
     def _save(self, state: Any, watch: "_Watch") -> None:
@@ -155,7 +203,9 @@ class Run:
         watch.saved = time.monotonic()
 
     def _healthy(self) -> list[int]:
-        return [k for k, member in enumerate(self.members) if member.failure is None]
+        """The members that are neither idle nor lost."""
+        failed = {k for k, member in enumerate(self.members) if member.failure}
+        return [k for k in range(len(self.members)) if k not in self._idle | failed]
 
     def _rows(self, state: Any, rate: float, seconds: float) -> dict[int, dict]:
         keys = self.program.evaluation_keys(self.env_steps)
@@ -181,7 +231,7 @@ class _Watch:
 
     def __init__(
         self,
-        metrics: Sequence[MetricsFile],
+        metrics: Mapping[pathlib.Path, MetricsFile],
         bar: Progress,
         callbacks: Sequence[Callback],
         signals: Sequence[int],

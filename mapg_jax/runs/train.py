@@ -98,10 +98,10 @@ def take_up(path: str | os.PathLike, steps: int | None = None) -> Run:
       BlockingIOError: if another process trains it.
     """
     folder = RunFolder.open(path)
-    folder.lock().close()  # refused before anything is changed
+    lock = folder.lock()  # held until the run has ended: nobody else trains it in between
     if steps is not None:
         folder = RunFolder(folder.path, dataclasses.replace(folder.config, steps=steps))
-    run = Run(prepare(folder.config), [folder])
+    run = Run(prepare(folder.config), [folder], [lock])
     run.restore()
     if run.turn > run.last_turn:
         raise ValueError(

@@ -5,7 +5,7 @@ import functools
 import os
 import pathlib
 import shutil
-from collections.abc import Hashable, Sequence
+from collections.abc import Collection, Hashable, Sequence
 from typing import Literal, NamedTuple
 
 import jax
@@ -31,10 +31,36 @@ class Job(NamedTuple):
 
     config: Config
     path: pathlib.Path
+    idle: bool = False
+    """Whether it is done, and only keeps its place in the program of its group."""
 
 
 Group = tuple[Job, ...]
-"""Runs that go in lockstep."""
+"""Runs that go in lockstep: resumed ones too are the numbers of that very program."""
+
+
+def at_work(group: Group) -> Group:
+    """Those that are not idle."""
+    return tuple(job for job in group if not job.idle)
+
+
+def with_work_for(group: Group, chosen: Collection[pathlib.Path]) -> Group:
+    """The same program, in which all but the chosen are idle."""
+    return tuple(job._replace(idle=job.path not in chosen) for job in group)
+
+
+def parts(group: Group) -> list[Group]:
+    """A group once for each set of its runs at work that has a checkpoint of one step in common.
+
+    Runs that were trained apart before may have none.
+    """
+    steps = {job.path: frozenset(_steps(job.path)) for job in at_work(group)}
+    if frozenset.intersection(*steps.values()) or not any(steps.values()):
+        return [group]
+    alike: dict[frozenset[int], list[pathlib.Path]] = {}
+    for path, of_run in steps.items():
+        alike.setdefault(of_run, []).append(path)
+    return [with_work_for(group, chosen) for chosen in alike.values()]
 
 
 def groups(jobs: Sequence[Job], grouping: Grouping = "auto") -> list[Group]:
@@ -50,8 +76,7 @@ def groups(jobs: Sequence[Job], grouping: Grouping = "auto") -> list[Group]:
         raise ValueError(f"group must be auto, one, all or at least 1, got {grouping}")
     alike: dict[Hashable, list[Job]] = {}
     for job in jobs:
-        key = program_key(job.config), _newest(job.path)  # lockstep needs equal steps
-        alike.setdefault(key, []).append(job)
+        alike.setdefault(program_key(job.config), []).append(job)
     cut = []
     for together in alike.values():
         size = _size(together, grouping)
@@ -132,8 +157,8 @@ def _size(alike: Sequence[Job], grouping: Grouping) -> int:
     return len(alike) if grouping == "all" else 1
 
 
-def _newest(path: pathlib.Path) -> int | None:
-    return Checkpoints(path / "checkpoints").newest() if path.exists() else None
+def _steps(path: pathlib.Path) -> list[int]:
+    return Checkpoints(path / "checkpoints").steps() if path.exists() else []
 
 
 def _largest(jobs: Sequence[Job]) -> Config:

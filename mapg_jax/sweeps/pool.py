@@ -10,7 +10,7 @@ import jax
 
 from mapg_jax.runs.finishing import is_finished
 from mapg_jax.runs.folder import RunFolder, is_blank
-from mapg_jax.sweeps.groups import Group
+from mapg_jax.sweeps.groups import Group, Job, at_work
 from mapg_jax.sweeps.worker import failure_file
 from mapg_jax.training import plugins
 
@@ -32,9 +32,10 @@ class Worker:
 
     def __init__(self, group: Group, cores: Collection[int], keep_replay: bool):
         self.group, self.cores = group, cores
-        self.folders = [_open(config, path) for config, path in group]
-        self._log = group[0].path / "worker.log"
+        self.folders = [_open(job) for job in at_work(group)]
+        self._log = self.folders[0].path / "worker.log"
         flags = ["--keep-replay"] if keep_replay else []
+        flags += [f"--idle={k}" for k, job in enumerate(group) if job.idle]
         folders = [str(job.path) for job in group]
         imports = [f"--import={module}" for module in plugins.loaded()]
         with self._log.open("wb") as log:
@@ -100,12 +101,12 @@ def own_cores() -> list[int]:
     return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
 
 
-def _open(config, path: pathlib.Path) -> RunFolder:
+def _open(job: Job) -> RunFolder:
     """The folder of a run, new or gone on with, and this process written into its history."""
-    if is_blank(path):
-        return RunFolder.create(path, config)
-    folder = RunFolder.open(path)
-    failure_file(path).unlink(missing_ok=True)
+    if is_blank(job.path):
+        return RunFolder.create(job.path, job.config)
+    folder = RunFolder.open(job.path)
+    failure_file(job.path).unlink(missing_ok=True)
     folder.write_config()
     return folder
 

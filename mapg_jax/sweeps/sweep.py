@@ -13,8 +13,11 @@ from mapg_jax.sweeps.groups import (
     Group,
     Grouping,
     Job,
+    at_work,
     groups,
+    parts,
     refuse_a_full_disk,
+    with_work_for,
     workers_that_fit,
 )
 from mapg_jax.sweeps.pool import Worker, leave_the_memory_to_workers, own_cores, shares
@@ -51,8 +54,7 @@ def make_schedule(
       ValueError: if a folder holds another run, or memory or disk do not suffice.
     """
     leave_the_memory_to_workers()
-    jobs = [job for job in unique_jobs(runs) if not _finished(job)]
-    waiting = groups(jobs, group)
+    waiting = [part for whole in groups(unique_jobs(runs), group) for part in _left_of(whole)]
     count = workers_that_fit(waiting, workers)
     refuse_a_full_disk(waiting, count, keep_replay)
     return Schedule(waiting, count, keep_replay)
@@ -79,7 +81,7 @@ def carry_out(
     pool = _Pool(schedule)
     with (
         caught_signals() as signals,
-        SweepTable(schedule.groups, schedule.workers, progress) as table,
+        SweepTable(list(map(at_work, schedule.groups)), schedule.workers, progress) as table,
     ):
         try:
             while pool.busy() and not signals:
@@ -90,7 +92,7 @@ def carry_out(
                     for folder in worker.folders:
                         failure = failures.get(folder.path)
                         if failure and worker.crashed() and len(worker.group) > 1:
-                            pool.add(Job(folder.config, folder.path))
+                            pool.add(_narrower(worker.group, folder.path))
                             table.retried(folder, failure)
                             continue
                         table.ended(folder, failure)
@@ -148,9 +150,9 @@ class _Pool:
             self._free.append(list(worker.cores))
         return ended
 
-    def add(self, job: Job) -> None:
-        """A run of a group that crashed is tried by itself, since another may be at fault."""
-        self._waiting.append((job,))
+    def add(self, group: Group) -> None:
+        """What is to be tried once more."""
+        self._waiting.append(group)
 
     def stop(self) -> None:
         """All workers save and end."""
@@ -158,6 +160,23 @@ class _Pool:
             worker.stop()
         for worker in self._workers:
             worker.wait()
+
+
+def _left_of(group: Group) -> list[Group]:
+    """The parts of a group that are not finished, for the same program: that is exact."""
+    left = {job.path for job in group if not _finished(job)}
+    return parts(with_work_for(group, left)) if left else []
+
+
+def _narrower(group: Group, path: pathlib.Path) -> Group:
+    """One run of a group that crashed, since another may be at fault.
+
+    The others are idle first, which leaves its numbers as they are; and if that crashes too, they
+    are left out, which can change last bits.
+    """
+    if len(at_work(group)) > 1:
+        return with_work_for(group, {path})
+    return tuple(job for job in group if job.path == path)
 
 
 def unique_jobs(runs: Sequence[tuple[Config, pathlib.Path]]) -> list[Job]:

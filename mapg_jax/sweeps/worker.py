@@ -10,7 +10,7 @@ import pathlib
 import signal
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from mapg_jax.runs.finishing import finish
 from mapg_jax.runs.folder import RunFolder
@@ -26,15 +26,22 @@ def failure_file(path: pathlib.Path) -> pathlib.Path:
     return path / "failure.txt"
 
 
-def work(folders: Sequence[RunFolder], keep_replay: bool) -> None:
-    """Takes a group to its end; a run of it that fails does not stop the others."""
-    run = Run(prepare(*(folder.config for folder in folders)), folders)
+def work(folders: Sequence[RunFolder], keep_replay: bool, idle: Collection[int] = ()) -> None:
+    """Takes a group to its end; a run of it that fails does not stop the others.
+
+    Args:
+      folders: of the group.
+      keep_replay: whether what finishes can be trained further.
+      idle: the numbers of those that only keep their places in the program.
+    """
+    locks = [folder.lock() for k, folder in enumerate(folders) if k not in idle]
+    run = Run(prepare(*(folder.config for folder in folders)), folders, locks, idle)
     run.restore()
     if not run.finished:
         # The last one left raises; each member has its own failure.
         with contextlib.suppress(DivergedError), caught_signals() as signals:
             run.go(signals=signals)
-    for member in run.members:
+    for member in (member for k, member in enumerate(run.members) if k not in idle):
         if member.failure is None:
             finish(member.folder, keep_replay)
         else:
@@ -44,13 +51,15 @@ def work(folders: Sequence[RunFolder], keep_replay: bool) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--keep-replay", action="store_true")
+    parser.add_argument("--idle", type=int, action="append", default=[])
     plugins.add_argument(parser)
     parser.add_argument("folders", nargs="+")
     arguments = parser.parse_args()
     threading.Thread(target=_stop_with_the_parent, daemon=True).start()
     plugins.load(arguments.imports)
     try:
-        work([RunFolder.open(path) for path in arguments.folders], arguments.keep_replay)
+        folders = [RunFolder.open(path) for path in arguments.folders]
+        work(folders, arguments.keep_replay, arguments.idle)
     except StoppedError as stopped:
         sys.exit(128 + stopped.number)
 

@@ -115,7 +115,7 @@ class Config(Options):
                 raise ValueError("the engine is no option of an environment; choose it by --engine")
             try:
                 options[name] = ast.literal_eval(value)
-            except (ValueError, SyntaxError):
+            except (ValueError, SyntaxError, MemoryError, RecursionError):
                 options[name] = value
         return options
 

@@ -3,10 +3,10 @@
 import gymnasium
 import jax.numpy as jnp
 import numpy as np
+import oracles
 import pytest
 
 from mapg_jax import load_policy
-from mapg_jax.runs.checkpoints import Checkpoints
 from mapg_jax.training.trainer import make_trainer
 
 
@@ -35,7 +35,7 @@ def test_numpy_in_float32_numpy_out(policy):
 def test_actions_are_in_gymnasiums_units(policy, finished_run):
     """Pendulum's torque reaches 2 N m: actions are twice the networks' proposals."""
     trainer = make_trainer(finished_run.config)
-    state, _ = Checkpoints(finished_run.checkpoints).load_agent(trainer.shapes.agent)
+    state = oracles.newest_state(finished_run).agent
     proposals, _ = trainer.agent.proposals(state, jnp.asarray(observations(6), jnp.float32))
     np.testing.assert_allclose(policy.proposals(observations(6)), 2 * proposals, rtol=1e-6)
 

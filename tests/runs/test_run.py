@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import platform
+import re
 import shutil
 
 import jax.numpy as jnp
@@ -13,9 +14,10 @@ import pytest
 
 from mapg_jax.runs.checkpoints import Checkpoints
 from mapg_jax.runs.folder import RunFolder
-from mapg_jax.runs.member import DivergedError
+from mapg_jax.runs.member import DivergedError, Member
 from mapg_jax.runs.memory import prepare
 from mapg_jax.runs.metrics import read_metrics
+from mapg_jax.runs.run import Run
 from mapg_jax.runs.train import begin, take_up
 
 
@@ -96,18 +98,57 @@ def test_a_finished_run_goes_further(finished_run, tmp_path):
     oracles.assert_same_run(further.folder, finished_run)
 
 
-def test_a_damaged_checkpoint_is_refused_and_the_one_before_serves(finished_run, tmp_path):
+def test_a_damaged_checkpoint_is_set_aside_and_the_one_before_serves(
+    finished_run, tmp_path, caplog
+):
     folder = oracles.copy_run(finished_run, tmp_path / "run")
     for file in (folder.checkpoints / "800").rglob("*"):
         if file.is_file():
             file.write_bytes(b"")
-    with pytest.raises(ValueError, match=r"800 is damaged .*remove that folder"):
-        take_up(folder.path)
-    shutil.rmtree(folder.checkpoints / "800")
     run = take_up(folder.path)
+    (said,) = (record.getMessage() for record in caplog.records if "mapg" in record.name)
+    assert re.search(r"800 is damaged .*; it is set aside as 800\.damaged$", said)
     assert 0 < run.turn < 200
     run.go()
     oracles.assert_same_run(folder, finished_run)
+
+
+def test_rows_that_the_run_did_not_write_are_refused(finished_run, tmp_path):
+    folder = oracles.copy_run(finished_run, tmp_path / "run", upto=400)
+    text = folder.metrics.read_text()
+    folder.metrics.write_text(text.replace(text.splitlines()[1].split(",")[2], "0.125"))
+    with pytest.raises(ValueError, match=r"metrics\.csv is damaged: up to step 400 its rows"):
+        take_up(folder.path)
+
+
+def test_a_run_is_locked_from_the_look_at_its_checkpoints_on(finished_run, tmp_path):
+    folder = oracles.copy_run(finished_run, tmp_path / "run", upto=400)
+    run = take_up(folder.path)
+    with pytest.raises(BlockingIOError, match="another process trains"):
+        take_up(folder.path)
+    run.go()
+    folder.lock().close()
+
+
+def test_a_member_of_a_group_goes_on_in_the_program_of_all(tmp_path):
+    """One of three is cut off after the others ended: it ends bit for bit as with them."""
+    configs = [dataclasses.replace(oracles.RUN, seed=seed, heads=2) for seed in (0, 1, 2)]
+
+    def go(folders, idle=()):
+        run = Run(prepare(*configs), folders, idle=idle)
+        run.restore()
+        run.go()
+
+    whole = [RunFolder.create(tmp_path / f"whole-{c.seed}", c) for c in configs]
+    go(whole)
+    cut = [oracles.copy_run(f, tmp_path / f"cut-{f.config.seed}") for f in whole]
+    for checkpoint in (cut[1].checkpoints).iterdir():
+        if int(checkpoint.name) > 400:
+            shutil.rmtree(checkpoint)
+    before = [oracles.newest_state(folder) for folder in whole]
+    go(cut, idle=(0, 2))
+    for folder, state in zip(cut, before, strict=True):
+        oracles.assert_equal(oracles.newest_state(folder), state)
 
 
 def test_seconds_go_on_where_they_stopped(finished_run, tmp_path):
@@ -138,7 +179,7 @@ def test_divergence_keeps_the_last_checkpoint(finished_run, tmp_path):
     hyper = good.agent.hyper.replace(critic_learning_rate=jnp.float32(1e30))
     bad = good.replace(agent=good.agent.replace(hyper=hyper))
     shutil.rmtree(folder.checkpoints / "64")
-    Checkpoints(folder.checkpoints, kept=2).save(bad, {"seconds": 0.0})
+    Member(folder).save(bad, 0.0)
     with pytest.raises(DivergedError, match="at step 68; the checkpoint at step 64 stays"):
         take_up(folder.path).go()
     oracles.assert_equal(oracles.newest_state(folder), bad)

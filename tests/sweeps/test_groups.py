@@ -61,3 +61,23 @@ def test_checkpoints_that_are_there_count_as_room(tmp_path, monkeypatch):
     (tmp_path / "run" / "checkpoints" / "400").mkdir(parents=True)
     (tmp_path / "run" / "checkpoints" / "400" / "data").write_bytes(bytes(1000))
     module.refuse_a_full_disk(cut, 1, keep_replay=False)
+
+
+def test_a_resumed_group_keeps_the_program_of_all_its_runs(monkeypatch):
+    """What is done is idle in it, and runs without a common step go one after the other."""
+    group = tuple(jobs())
+    one, four, ten = (job.path for job in group)
+    left = module.with_work_for(group, {four, ten})
+    assert [job.idle for job in left] == [True, False, False]
+    assert [job.path for job in module.at_work(left)] == [four, ten]
+    steps = {four: [10, 20], ten: [20, 30]}
+    monkeypatch.setattr(module, "_steps", steps.get)
+    assert module.parts(left) == [left]
+    for steps[ten], apart in (([30], True), ([], True), ([20], False)):
+        found = module.parts(left)
+        assert len(found) == 1 + apart
+        assert all(len(part) == 3 for part in found)
+        assert sorted(j.path for part in found for j in module.at_work(part)) == sorted([four, ten])
+    steps.update({four: [], ten: []})  # nothing was done yet
+    assert module.parts(left) == [left]
+    assert one not in steps

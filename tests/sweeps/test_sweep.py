@@ -12,7 +12,7 @@ from mapg_jax.runs.finishing import is_finished
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.train import take_up
 from mapg_jax.sweeps import sweep, table
-from mapg_jax.sweeps.groups import Job
+from mapg_jax.sweeps.groups import Job, at_work
 from mapg_jax.sweeps.pool import Worker
 
 RUN = dataclasses.replace(oracles.RUN, steps=400, checkpoint_seconds=300.0, checkpoints_kept=2)
@@ -85,12 +85,12 @@ def test_a_run_that_was_given_more_steps_keeps_them(swept, tmp_path):
 class CrashingTogether(Worker):
     """A worker that ends at once: a group of several crashes, and one named bad fails alone too."""
 
-    started: ClassVar[list[list[str]]] = []
+    started: ClassVar[list[tuple[list[str], int]]] = []
 
     def __init__(self, group, cores, keep_replay):
         self.group, self.cores = group, cores
-        self.folders = [RunFolder(path, config) for config, path in group]
-        self.started.append([path.name for _, path in group])
+        self.folders = [RunFolder(job.path, job.config) for job in at_work(group)]
+        self.started.append(([folder.path.name for folder in self.folders], len(group)))
 
     def running(self):
         return False
@@ -108,7 +108,8 @@ class CrashingTogether(Worker):
 
 
 def test_a_group_that_crashes_is_cut_into_its_runs(tmp_path, monkeypatch):
-    """The run that had finished before the crash is not tried again."""
+    """The run that had finished before the crash is not tried again. The others are: each in the
+    program of the group, which leaves its numbers as they are, and then by itself."""
     monkeypatch.setattr(sweep, "Worker", CrashingTogether)
     monkeypatch.setattr(sweep, "POLL_SECONDS", 0.0)
     row = {"env_steps": 1.0, "return_mean": 0.0, "seconds": 1.0}
@@ -117,6 +118,8 @@ def test_a_group_that_crashes_is_cut_into_its_runs(tmp_path, monkeypatch):
     runs = [(dataclasses.replace(RUN, seed=k), tmp_path / n) for k, n in enumerate(names)]
     told = []
     failures = sweep.run_all(runs, group="all", on_finished=lambda f: told.append(f.path.name))
-    assert CrashingTogether.started == [["one", "bad", "good"], ["bad"], ["good"]]
+    assert CrashingTogether.started == [
+        (["one", "bad", "good"], 3), (["bad"], 3), (["good"], 3), (["bad"], 1), (["good"], 1),
+    ]  # fmt: skip
     assert failures == [f"{tmp_path / 'bad'}: why"]
     assert told == ["one", "good"]
