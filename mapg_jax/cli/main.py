@@ -1,8 +1,10 @@
 """The door: mapg train | sweep | resume | evaluate | draw | report | paper | envs."""
 
+import contextlib
 import importlib
 import os
 import pathlib
+import signal
 import sys
 from typing import TextIO
 
@@ -38,10 +40,15 @@ def main() -> None:
         foreign.refuse("envs", "experiments")
     except ImportError as error:
         sys.exit(complain(str(error), 2))
-    command = importlib.import_module(f"mapg_jax.cli.{name}")
-    arguments = refuse_politely(lambda: command.parse(flags))
+    with _ended_by_interrupts():
+        command = importlib.import_module(f"mapg_jax.cli.{name}")
+        arguments = refuse_politely(lambda: command.parse(flags))
     with own_stdout() as out:
-        _run(command, arguments, out)
+        status = _run(command, arguments, out)
+    if status:
+        sys.stderr.flush()
+        # A program that is still being compiled, which nobody waits for, would hold up an exit.
+        os._exit(status)
 
 
 def parser(name: str, epilog: str = "") -> Parser:
@@ -49,7 +56,21 @@ def parser(name: str, epilog: str = "") -> Parser:
     return Parser(prog=f"mapg {name}", description=COMMANDS[name], epilog=epilog)
 
 
-def _run(command, arguments, out: TextIO) -> None:
+@contextlib.contextmanager
+def _ended_by_interrupts():
+    """Ctrl-C ends the process, without a word: modules that are being imported would tell all of
+    where they are, or pass over it."""
+    previous = signal.getsignal(signal.SIGINT)
+    if previous is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
+
+
+def _run(command, arguments, out: TextIO) -> int:
+    """Runs a command; gives the exit status."""
     import jax
 
     from mapg_jax.runs.member import DivergedError
@@ -60,13 +81,14 @@ def _run(command, arguments, out: TextIO) -> None:
     try:
         command.run(arguments, out)
     except DivergedError as error:
-        sys.exit(complain(str(error), 1))
+        return complain(str(error), 1)
     except KeyboardInterrupt:
-        sys.exit(complain("interrupted", 130))
+        return complain("interrupted", 130)
     except OSError as error:  # a full disk, say
-        sys.exit(complain(str(error), 1))
+        return complain(str(error), 1)
     except StoppedError as error:
-        sys.exit(complain(str(error), 128 + error.number))
+        return complain(str(error), 128 + error.number)
+    return 0
 
 
 def _help() -> str:

@@ -11,6 +11,7 @@ import json
 import logging
 import pathlib
 import shutil
+import sys
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -26,6 +27,20 @@ from mapg_jax.training.state import TrainState
 # Orbax logs every save at WARNING, and what it raises besides at ERROR.
 logging.getLogger("absl").setLevel(logging.CRITICAL)
 LOG = logging.getLogger(__name__)
+
+
+def _without_closed_loops(tell):
+    """A hook for what cannot be raised: TensorStore tells event loops of Orbax that have ended of
+    what it could not read or write, which has been raised by then."""
+
+    def hook(unraisable):
+        if str(unraisable.exc_value) != "Event loop is closed":
+            tell(unraisable)
+
+    return hook
+
+
+sys.unraisablehook = _without_closed_loops(sys.unraisablehook)
 
 
 class DamagedError(ValueError):
@@ -70,7 +85,11 @@ class Checkpoints:
         return self._manager.latest_step()
 
     def save(self, state: TrainState, host: Mapping[str, Any]) -> None:
-        """Writes the state and the host's own numbers (JSON)."""
+        """Writes the state and the host's own numbers (JSON).
+
+        Raises:
+          OSError: if it cannot be written, as where the disk is full.
+        """
         rest = state.replace(agent=None)
         if state.replay is not None:
             rest = rest.replace(replay=replay.trim(state.replay))
@@ -84,7 +103,13 @@ class Checkpoints:
         saved = {part: ocp.args.StandardSave(leaves) for part, leaves in parts.items()}
         sealed = {**record._asdict(), "seal": _seal(record)}
         args = ocp.args.Composite(**saved, host=ocp.args.JsonSave(sealed))
-        self._manager.save(step, args=args, force=True)
+        try:
+            self._manager.save(step, args=args, force=True)
+        except Exception as error:  # Orbax and TensorStore raise many kinds
+            raise OSError(
+                f"the checkpoint of step {step:,} cannot be written to {self.path} "
+                f"({_reason(error)}); those before it are whole"
+            ) from None
 
     def drop_replay(self) -> None:
         """Leaves the agents: enough to act and to evaluate, not to train further."""

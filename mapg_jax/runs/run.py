@@ -4,6 +4,7 @@ import contextlib
 import functools
 import math
 import pathlib
+import threading
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
@@ -159,13 +160,14 @@ class Run:
             bar = stack.enter_context(
                 Progress(self.last_turn * self.trainer.steps_per_turn, progress)
             )
-            self._loop(_Watch(metrics, bar, callbacks, signals))
+            command = f"mapg resume {self.members[0].folder.path}"
+            self._loop(_Watch(metrics, bar, callbacks, signals, command))
 
     def _loop(self, watch: "_Watch") -> None:
         state, self._state = self._state, None  # its buffers are donated to the first chunk
         if state is None:
             state = self.program.init()
-        run = self.program.jitted_run.lower(state, 0).compile()
+        run = self._compiled(state, watch)
         while not self.finished and not watch.stop:
             done = self.turn % self._turns_per_evaluation
             due = min(self.turn + self._turns_per_evaluation - done, self.last_turn)
@@ -181,8 +183,26 @@ class Run:
                 state = state.replace(totals=totals)
             if self.finished or watch.stop or watch.save_due(self.config.checkpoint_seconds):
                 self._save(state, watch)
-        if watch.signals:
-            raise StoppedError(watch.signals[0], f"mapg resume {self.members[0].folder.path}")
+        watch.obey()
+
+    def _compiled(self, state: Any, watch: "_Watch") -> Any:
+        """The program; a signal meanwhile stops at once, since nothing has been done yet.
+
+        Raises:
+          StoppedError: on a signal.
+        """
+        lowered = self.program.jitted_run.lower(state, 0)
+        done: list[Any] = []
+        # Python sees no signal while it is inside of XLA, so that is left to another thread.
+        thread = threading.Thread(target=lambda: done.append(_tried(lowered.compile)), daemon=True)
+        thread.start()
+        while thread.is_alive():
+            thread.join(0.1)
+            watch.obey()
+        (result,) = done
+        if isinstance(result, Exception):
+            raise result
+        return result
 
     def _evaluate(self, state: Any, watch: "_Watch") -> None:
         """A row of metrics.csv for each healthy run."""
@@ -235,8 +255,9 @@ class _Watch:
         bar: Progress,
         callbacks: Sequence[Callback],
         signals: Sequence[int],
+        command: str,
     ):
-        self.metrics, self._bar = metrics, bar
+        self.metrics, self._bar, self._command = metrics, bar, command
         self._callbacks, self.signals = callbacks, signals
         self._started = self.saved = time.monotonic()
         self._learning = self._stopped = False
@@ -246,6 +267,11 @@ class _Watch:
     def stop(self) -> bool:
         """Whether a signal or a callback asks for the end."""
         return bool(self.signals) or self._stopped
+
+    def obey(self) -> None:
+        """Raises StoppedError if a signal asks for the end."""
+        if self.signals:
+            raise StoppedError(self.signals[0], self._command)
 
     def seconds(self) -> float:
         """Of this process."""
@@ -273,6 +299,14 @@ class _Watch:
         """Tells every callback."""
         answers = [callback(event) for callback in self._callbacks]
         self._stopped |= any(isinstance(x, bool | np.bool_) and bool(x) for x in answers)
+
+
+def _tried(function: Callable[[], Any]) -> Any:
+    """Its value, or what it raised."""
+    try:
+        return function()
+    except Exception as error:
+        return error
 
 
 class Pace:

@@ -8,7 +8,6 @@ import contextlib
 import os
 import pathlib
 import signal
-import sys
 import threading
 from collections.abc import Collection, Sequence
 
@@ -61,7 +60,8 @@ def main() -> None:
         folders = [RunFolder.open(path) for path in arguments.folders]
         work(folders, arguments.keep_replay, arguments.idle)
     except StoppedError as stopped:
-        sys.exit(128 + stopped.number)
+        # A program that is still being compiled, which nobody waits for, would hold up an exit.
+        os._exit(128 + stopped.number)
 
 
 def _stop_with_the_parent() -> None:
