@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: demo test test-slow test-mjx check lint types results bench bench-peers bench-compare clean
+.PHONY: demo test test-slow test-mjx torture check lint types results bench bench-peers bench-compare clean
 
 demo: .venv/ready  ## train MAPG (M = 10) on Pendulum and score it over 100 episodes
 	$(BIN)/mapg train --env pendulum --heads 10 --steps 40000 --evaluate-every 2000
@@ -16,6 +16,9 @@ test-slow: .venv/ready  ## lockstep of all algorithms, and training by Brax, abo
 
 test-mjx: .venv/ready  ## the tests that compile every task for MJX, about 15 minutes on 2 cores
 	$(PYTEST) -m mjx
+
+torture: .venv/ready  ## breaks runs on purpose, and counts what is lost; goes on from the last time
+	$(BIN)/python -m benchmarks.torture
 
 check: lint types test  ## all that is asked of a change
 

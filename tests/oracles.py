@@ -17,7 +17,8 @@ from mapg_jax.algorithms.base import Transition
 from mapg_jax.algorithms.deterministic import UpdateMetrics
 from mapg_jax.reports.results import Result
 from mapg_jax.runs.checkpoints import Checkpoints
-from mapg_jax.runs.folder import RunFolder, write_json
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.sealing import write_score
 from mapg_jax.runs.train import begin
 from mapg_jax.training import trainer
 from mapg_jax.training.agent import Agent, make_agent
@@ -401,5 +402,5 @@ def finished_run(config: Config, path: pathlib.Path, returns, metrics=None) -> R
         "mean": float(np.mean(returns)), "std": float(np.std(returns, ddof=1)),
         "returns": list(returns),
     }  # fmt: skip
-    write_json(folder.evaluation, record | ({"metrics": metrics} if metrics else {}))
+    write_score(folder, record | ({"metrics": metrics} if metrics else {}))
     return folder

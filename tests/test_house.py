@@ -54,6 +54,7 @@ ROOMS = {
         "checkpoints",
         "contract",
         "metrics",
+        "sealing",
         "progress",
         "memory",
         "policy",

@@ -21,6 +21,7 @@ from mapg_jax.algorithms import registry
 from mapg_jax.runs import csv_file
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.metrics import read_metrics
+from mapg_jax.runs.sealing import refuse_a_broken_seal
 from mapg_jax.training.config import PRESETS, Config, fields, preset
 
 COLUMNS_OF_THEIR_OWN = {"env", "algorithm", "heads", "seed", "steps"}
@@ -136,6 +137,7 @@ def read_scored(folder: RunFolder) -> tuple[Result, dict[str, Any]]:
             metrics=_summed_up(config, score.get("metrics", {})),
         )
         scored = int(score.get("env_steps", config.steps))
+    refuse_a_broken_seal(folder, score)
     if scored < config.steps:
         raise UnfinishedError(f"{folder.path} is not finished: its score is of step {scored:,}")
     return result, score

@@ -13,6 +13,7 @@ import envs
 from mapg_jax.runs.folder import RunFolder, write_json
 from mapg_jax.runs.memory import available_bytes
 from mapg_jax.runs.policy import Policy, open_policy
+from mapg_jax.runs.sealing import write_score
 from mapg_jax.training.evaluation import play, summarize
 from mapg_jax.training.trainer import tree_bytes
 
@@ -41,7 +42,7 @@ def evaluate(
     episodes = official[0] if episodes is None else episodes
     record = score(folder, episodes, physics, select, seed)
     if (episodes, physics, select, seed) == official:
-        write_json(folder.evaluation, record)
+        record = write_score(folder, record)
     else:
         name = f"{record['physics']}-{select}-{episodes}-s{seed}.json"
         (folder.path / "evaluations").mkdir(exist_ok=True)

@@ -13,8 +13,9 @@ from experiments import carryover, collapse, fig2, fig3, overhead, page, paper, 
 from experiments.catalogue import TITLES, Name, experiment
 from experiments.plan import A3C, DDPG, MAPG, NO_NOISE, Plan, in_order, item, make_plan, name
 from mapg_jax.reports.results import append_csv
-from mapg_jax.runs.folder import RunFolder, write_json
+from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.member import DIVERGED
+from mapg_jax.runs.sealing import write_score
 from mapg_jax.runs.signals import StoppedError
 from mapg_jax.sweeps.worker import failure_file
 from mapg_jax.training.config import Config
@@ -156,7 +157,8 @@ def test_a_score_by_another_measure_is_refused_but_one_that_is_there_stays(made,
     (config,) = fig3.judged(made)
     shutil.copytree(made.folder(config), tmp_path / "run")
     folder = RunFolder.open(tmp_path / "run")
-    write_json(folder.evaluation, json.loads(folder.evaluation.read_text()) | other)
+    record = json.loads(folder.evaluation.read_text()) | other
+    write_score(folder, {name: value for name, value in record.items() if name != "seal"})
     (name, value) = next(iter(other.items()))
     elsewhere = made._replace(results=tmp_path)
     (failure,) = paper.measure(elsewhere, folder)

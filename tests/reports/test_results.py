@@ -25,7 +25,8 @@ from mapg_jax.reports.results import (
     settings,
     sort_settings,
 )
-from mapg_jax.runs.folder import RunFolder, write_json
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.sealing import write_score
 from mapg_jax.training.config import PRESETS, Config, preset
 
 RESULT = oracles.result()
@@ -108,10 +109,11 @@ def test_the_score_of_an_earlier_policy_is_none_of_the_run(tmp_path):
     """A policy can be scored while the run goes on, or after a crash."""
     folder = oracles.finished_run(Config(env="hopper", steps=1000), tmp_path / "run", [1.0, 2.0])
     record = json.loads(folder.evaluation.read_text())
-    write_json(folder.evaluation, {**record, "env_steps": 992})
+    del record["seal"]
+    write_score(folder, {**record, "env_steps": 992})
     with pytest.raises(UnfinishedError, match="its score is of step 992"):
         read_run(folder)
-    write_json(folder.evaluation, {**record, "env_steps": 1008})
+    write_score(folder, {**record, "env_steps": 1008})
     assert read_run(folder).return_mean == 1.5
 
 
@@ -127,6 +129,23 @@ DAMAGE = [
     ("config.json", '{"config": {}}', "config.json is damaged: it lacks 'history'"),
     ("config.json", '{"config": {}, "history": []}', "config.json is damaged"),
 ]
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("evaluation.json", '"mean": 1.5', '"mean": 1.6'),
+        ("config.json", '"tau": 0.01', '"tau": 0.02'),
+        ("metrics.csv", "0.375", "0.376"),
+    ],
+)
+def test_a_digit_that_was_changed_is_not_taken_as_true(name, old, new, tmp_path):
+    folder = oracles.finished_run(Config(env="hopper", steps=1000), tmp_path / "run", [1.0, 2.0])
+    file = folder.path / name
+    assert old in file.read_text()
+    file.write_text(file.read_text().replace(old, new, 1))
+    with pytest.raises(ValueError, match=rf"{name} is damaged: it is not"):
+        read_run(folder.path)
 
 
 @pytest.mark.parametrize(("name", "text", "message"), DAMAGE)

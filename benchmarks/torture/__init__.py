@@ -1,0 +1,1 @@
+"""Breaking runs on purpose, and counting what was lost: `make torture`."""
