@@ -30,9 +30,7 @@ from mapg_jax.runs.signals import StoppedError
 from mapg_jax.sweeps.worker import failure_file
 from mapg_jax.training.config import Config
 
-NAMES: list[Name] = [
-    name for name in TITLES if name not in ("repeats", "carryover", "collapse", "several")
-]
+NAMES: list[Name] = [name for name in TITLES if name != "repeats" and name not in LATER]
 
 
 def small(folder) -> Plan:
