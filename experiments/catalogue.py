@@ -10,8 +10,8 @@ from mapg_jax.training.config import Config
 
 Name = Literal[
     "claims", "effects", "table2", "fig1", "fig5", "fig2", "fig3", "fig4", "torcs", "heads",
-    "returns", "collapse", "carryover",
-    "overhead", "repeats",
+    "returns", "several", "collapse",
+    "carryover", "overhead", "repeats",
 ]  # fmt: skip
 TITLES: dict[Name, str] = {
     "claims": "The claims",
@@ -25,13 +25,14 @@ TITLES: dict[Name, str] = {
     "torcs": "Driving, for TORCS",
     "heads": "The heads",
     "returns": "What each head returns",
+    "several": "Where several actions pay",
     "collapse": "Why the heads come together",
     "carryover": "Other algorithms with several actions",
     "overhead": "What the heads cost",
     "repeats": "Two runs of version 1, made again",
 }
 """In the order of the page."""
-LATER: tuple[Name, ...] = ("collapse", "carryover")
+LATER: tuple[Name, ...] = ("several", "collapse", "carryover")
 """Whose runs come after all others, each in its own order."""
 
 

@@ -24,11 +24,18 @@ def save(plan: Plan, figure: "Figure", name: str) -> str:
 
 
 def plotted(figure: "Figure") -> list[list[str]]:
-    """All points of all lines, boxes among them, to five digits: a picture's bytes differ between
-    machines, and these do not."""
-    return [
-        [str(panel), str(line), f"{x:.5g}", f"{y:.5g}"]
-        for panel, axes in enumerate(figure.axes)
-        for line, drawn in enumerate(axes.lines)
-        for x, y in np.asarray(drawn.get_xydata())
-    ]
+    """All points of all lines, boxes among them, and the tops of all bars, to five digits: a
+    picture's bytes differ between machines, and these do not."""
+    points = []
+    for panel, axes in enumerate(figure.axes):
+        drawn = [np.asarray(line.get_xydata()) for line in axes.lines]
+        drawn += [
+            np.array([(bar.get_x(), bar.get_y() + bar.get_height()) for bar in bars])
+            for bars in axes.containers
+        ]
+        points += [
+            [str(panel), str(line), f"{x:.5g}", f"{y:.5g}"]
+            for line, xy in enumerate(drawn)
+            for x, y in xy
+        ]
+    return points

@@ -4,6 +4,7 @@ docs/heads.md says what each rule is good for.
 """
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import jax
@@ -102,6 +103,17 @@ class HeadOptions(Options):
         above=0,
         of_heads=True,
     )
+
+
+DIVERSE: Mapping[str, Any] = {
+    "gradient": "all",
+    "hold": "episode",
+    "head_spread": 1.0,
+    "repulsion": "stein",
+    "repulsion_weight": 0.3,
+    "repulsion_updates": 500_000,  # half of the preset's
+}
+"""The preset of that name, found by the trials in docs/heads.md."""
 
 
 class HeadNumbers(struct.PyTreeNode):

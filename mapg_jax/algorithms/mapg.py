@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from mapg_jax.algorithms.base import Transition
 from mapg_jax.algorithms.descent import Params, kernel_l2, minimize, towards
 from mapg_jax.algorithms.deterministic import Deterministic, LearnerState, UpdateMetrics
-from mapg_jax.algorithms.head_options import HeadNumbers, HeadOptions
+from mapg_jax.algorithms.head_options import DIVERSE, HeadNumbers, HeadOptions
 from mapg_jax.algorithms.options import option
 from mapg_jax.algorithms.returns import td_target
 
@@ -40,6 +40,7 @@ class Mapg(Deterministic):
     Options: ClassVar = MapgOptions
     Hyper: ClassVar = Hyperparameters
     presets: ClassVar = {
+        "diverse": DIVERSE,
         "reference": {  # CleanRL's DDPG
             "actor_learning_rate": 3e-4,
             "critic_learning_rate": 3e-4,

@@ -17,7 +17,7 @@ from mapg_jax.algorithms.base import Transition
 from mapg_jax.algorithms.descent import Params, minimize, towards
 from mapg_jax.algorithms.deterministic import Deterministic, LearnerState, UpdateMetrics
 from mapg_jax.algorithms.exploration import Noise
-from mapg_jax.algorithms.head_options import HeadNumbers, HeadOptions
+from mapg_jax.algorithms.head_options import DIVERSE, HeadNumbers, HeadOptions
 from mapg_jax.algorithms.options import option
 from mapg_jax.algorithms.returns import td_target
 
@@ -69,6 +69,7 @@ class Td3(Deterministic):
     Options: ClassVar = Td3Options
     Hyper: ClassVar = Hyperparameters
     presets: ClassVar = {
+        "diverse": DIVERSE,
         "reference": {"learning_starts": 25_000, "random_start": True},  # sfujim/TD3
         "parallel": {"actor_learning_rate": 5e-4, "critic_learning_rate": 5e-4, "tau": 0.05,
                      "noise_scale": 0.05, "noise_scale_last": 0.8},

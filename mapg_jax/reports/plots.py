@@ -208,3 +208,30 @@ def _panels(titles: Collection[str], below: str, beside: str) -> "tuple[Figure, 
         if place + columns >= len(titles):
             axes.set_xlabel(below)
     return figure, panels[: len(titles)]
+
+
+def draw_shares(
+    arms: Mapping[str, Mapping[str, Sequence[float]]], across: str, up: str, part: str
+) -> "Figure":
+    """A panel an arm, a bar a run, stacked of its shares.
+
+    Args:
+      arms: by arm and run, the shares of its parts, which add up to 1 at most.
+      across: what the runs are.
+      up: what the bars are of.
+      part: what a share is the share of; numbered from 1.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(1 + 3 * len(arms), 3.2), layout="constrained")
+    panels = figure.subplots(1, len(arms), sharey=True, squeeze=False)[0]
+    for axes, (arm, by_run) in zip(panels, arms.items(), strict=True):
+        shares = np.array(list(by_run.values()), float)
+        below = np.cumsum(shares, 1) - shares
+        for k, (share, start) in enumerate(zip(shares.T, below.T, strict=True)):
+            axes.bar(list(by_run), share, bottom=start, color=COLOURS[k], label=f"{part} {k + 1}")
+        axes.set(title=f"{arm} (n = {len(by_run)})", xlabel=across, ylim=(0, 1))
+        axes.tick_params(axis="x", rotation=90)
+    panels[0].set_ylabel(up)
+    panels[-1].legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
+    return figure

@@ -214,9 +214,11 @@ def refuse_foreign(cls: type[Config], name: str) -> None:
     raise ValueError(f"{name} is no option of a run; {cls.algorithm} has {', '.join(fields(cls))}")
 
 
-Preset = Literal["paper", "reference", "parallel", "smoke"]
+Preset = Literal["paper", "diverse", "reference", "parallel", "smoke"]
 PRESETS: Mapping[str, Mapping[str, Any]] = {
     "paper": {},
+    # The paper's, with heads that stay apart, for the algorithms that have rules for it.
+    "diverse": {},
     "reference": {
         # What published settings share; what each algorithm adds stands in its own file.
         "steps": 1_000_000,
@@ -253,9 +255,9 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
         "final_episodes": 4,
     },
 }
-"""By name, what differs from the defaults: the paper's set-up, published ones, one for
-accelerators, one that ends in seconds. An algorithm takes of it what it has, and then its own
-`presets`."""
+"""By name, what differs from the defaults: the paper's set-up, the same with heads that stay apart,
+published ones, one for accelerators, one that ends in seconds. An algorithm takes of it what it
+has, and then its own `presets`."""
 
 
 def preset(name: str = "paper", algorithm: str = "mapg", **changes: Any) -> Config:

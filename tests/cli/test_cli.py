@@ -332,7 +332,7 @@ def test_json_is_all_that_reaches_standard_output(tmp_path):
 
 
 @pytest.mark.mjx
-def test_a_smoke_run_on_mjx(mapg, tmp_path):
+def test_a_smoke_run_on_mjx(mapg, tmp_path, their_code):
     command = "train --env hopper --engine mjx --preset smoke --out run"
     status, out, err = mapg(*command.split())
     assert status == 0, err

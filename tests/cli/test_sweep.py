@@ -115,7 +115,10 @@ REFUSALS = [
         "--algorithm mapg a4c",
         "algorithm must be one of mapg, a3c, td3, sac, naf, ppo, trpo, got 'a4c'",
     ),
-    ("--preset papr", "preset must be one of paper, reference, parallel, smoke, got 'papr'"),
+    (
+        "--preset papr",
+        "preset must be one of paper, diverse, reference, parallel, smoke, got 'papr'",
+    ),
 ]
 
 

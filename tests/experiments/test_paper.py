@@ -9,8 +9,19 @@ import signal
 import oracles
 import pytest
 
-from experiments import carryover, collapse, fig2, fig3, overhead, page, paper, rows, scores
-from experiments.catalogue import TITLES, Name, experiment
+from experiments import (
+    carryover,
+    collapse,
+    fig2,
+    fig3,
+    overhead,
+    page,
+    paper,
+    rows,
+    scores,
+    several,
+)
+from experiments.catalogue import LATER, TITLES, Name, experiment
 from experiments.plan import A3C, DDPG, MAPG, NO_NOISE, Plan, in_order, item, make_plan, name
 from mapg_jax.reports.results import append_csv
 from mapg_jax.runs.folder import RunFolder
@@ -20,7 +31,7 @@ from mapg_jax.runs.signals import StoppedError
 from mapg_jax.sweeps.worker import failure_file
 from mapg_jax.training.config import Config
 
-NAMES: list[Name] = [name for name in TITLES if name not in ("repeats", "carryover", "collapse")]
+NAMES: list[Name] = [name for name in TITLES if name != "repeats" and name not in LATER]
 
 
 def small(folder) -> Plan:
@@ -257,7 +268,7 @@ def test_the_order_is_that_of_the_protocol():
     ordered = paper.runs(plan, list(paper.TITLES))
     folders = [name(config, plan) for config in ordered]
     assert len(set(folders)) == len(folders)
-    later = [*collapse.runs(plan), *carryover.runs(plan)]
+    later = [*several.runs(plan), *collapse.runs(plan), *carryover.runs(plan)]
     first = ordered[: -len(later)]
     assert [*in_order(plan, reversed(first)), *later] == ordered
     counts = collections.Counter(item(config, plan) for config in first)
@@ -265,6 +276,9 @@ def test_the_order_is_that_of_the_protocol():
     assert counts[5] == 10 * len(plan.rules())
     # NAF on two tasks, the others on four, M = 1 and 10; and the marginal ratio of two of them
     counts = collections.Counter(config.algorithm for config in later)
+    small, restricted = 6 * 10, 2 * 5  # runs of an arm
+    assert len(several.runs(plan)) == 8 * (small + restricted)
+    counts = counts - collections.Counter(config.algorithm for config in several.runs(plan))
     assert counts == {"mapg": 150, "naf": 20, "trpo": 60, "ppo": 60, "td3": 40, "sac": 40}
     assert [config.seed for config in carryover.runs(plan)[:5]] == [2000] * 4 + [2001]
     assert {config.seed for config in ordered[:8]} == {2000}

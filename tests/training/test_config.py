@@ -206,7 +206,8 @@ def test_every_preset_is_a_run_of_every_algorithm(name, algorithm):
 
 def test_an_unknown_preset_is_refused():
     with pytest.raises(
-        ValueError, match="preset must be one of paper, reference, parallel, smoke, got 'pap'"
+        ValueError,
+        match="preset must be one of paper, diverse, reference, parallel, smoke, got 'pap'",
     ):
         preset("pap")
 

@@ -1,0 +1,122 @@
+"""Where several actions pay: tasks in which several are good, and restricted actions."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from experiments import pictures, rows, scores
+from experiments.plan import DDPG, MAPG, Plan
+from mapg_jax.algorithms.head_options import DIVERSE
+from mapg_jax.reports import inference as statistics
+from mapg_jax.reports.document import Table
+from mapg_jax.reports.plots import draw_shares
+from mapg_jax.training.config import Config
+
+
+class Task(NamedTuple):
+    """An environment, and what its runs have otherwise than the preset."""
+
+    env: str
+    options: tuple[str, ...]
+    seeds: int
+    changes: Mapping[str, Any]
+    steps: int | None = None
+    """By default half of those of the tables."""
+
+
+SMALL: Mapping[str, Any] = {"environments": 32, "batch_size": 256, "updates_per_step": 0.25}
+TASKS: Mapping[str, Task] = {
+    "two_mode_bandit": Task("two_mode_bandit", (), 10, SMALL, 19_200),
+    "four_bump_bandit": Task("four_bump_bandit", (), 10, SMALL, 19_200),
+    "multi_goal": Task("multi_goal", (), 10, SMALL, 96_000),
+    "multi_goal, three": Task("multi_goal", ("goals=three",), 10, SMALL, 96_000),
+    "point_maze, v1": Task("point_maze", ("maze=v1",), 10, SMALL, 192_000),
+    "point_maze, v2": Task("point_maze", ("maze=v2",), 10, SMALL, 192_000),
+    "hopper, restricted": Task("hopper", ("restricted=1.25",), 5, {}),
+    "halfcheetah, restricted": Task("halfcheetah", ("restricted=0.25",), 5, {}),
+}
+GAUSSIAN: Mapping[str, Any] = {"noise": "gaussian", "noise_scale": 0.1}
+ARMS: Mapping[str, Mapping[str, Any]] = {
+    "DDPG": {**DDPG, **GAUSSIAN},
+    "M = 10": {**MAPG, **GAUSSIAN},
+    "diverse": {**MAPG, **GAUSSIAN, **DIVERSE},
+    "TD3": {"algorithm": "td3", **DDPG},
+    "TD3, M = 10": {"algorithm": "td3", **MAPG},
+    "TD3, diverse": {"algorithm": "td3", **MAPG, **DIVERSE},
+    "SAC": {"algorithm": "sac", **DDPG},
+    "SAC, M = 10": {"algorithm": "sac", **MAPG},
+}
+SHOWN = ("DDPG", "M = 10", "diverse")
+"""In the picture."""
+
+
+def runs(plan: Plan) -> list[Config]:
+    """Task by task; of each seed by seed."""
+    return [
+        config
+        for name in TASKS
+        for config in sorted(
+            (c for label in ARMS for c in arm(plan, name, label)), key=lambda config: config.seed
+        )
+    ]
+
+
+def arm(plan: Plan, name: str, label: str) -> list[Config]:
+    """One arm on one task over all seeds; repulsion ends half way."""
+    task, changes = TASKS[name], dict(ARMS[label])
+    most = plan.base.steps // 2
+    steps = most if task.steps is None else min(task.steps, most)
+    shared = {"steps": steps, "evaluate_every": max(1, steps // 4), **task.changes}
+    if "repulsion_updates" in changes:
+        base: Any = plan.base
+        ratio = task.changes.get("updates_per_step", base.updates_per_step)
+        changes["repulsion_updates"] = round(steps * ratio / 2)
+    return plan.over_seeds(task.env, task.seeds, env_options=task.options, **shared, **changes)
+
+
+def section(plan: Plan) -> str:
+    """A table of what each arm finds, and a picture of the four goals."""
+    found = {
+        name: {label: scores.of(plan, arm(plan, name, label)) for label in ARMS} for name in TASKS
+    }
+    found = {name: {k: v for k, v in arms.items() if v} for name, arms in found.items()}
+    found = {name: arms for name, arms in found.items() if arms}
+    if not found:
+        return rows.missing(runs(plan))
+    lines = []
+    for name, arms in found.items():
+        for label, results in arms.items():
+            score = [result.return_mean for result in results]
+            lines.append([name, label, f"{statistics.mean(score):.2f}", *_ends(results)])
+    header = ("task", "arm", "score", "ends reached", "entropy of behaviour", "seeds")
+    text = (
+        "Score: mean return of 100 episodes of the last policy, a head drawn uniformly and held as "
+        "it was in training. Ends reached: how many of the goals or optima those episodes find. "
+        "Means with 95 % intervals over seeds.\n\n" + Table(header, lines).markdown()
+    )
+    goals = found.get("multi_goal", {})
+    shares = {
+        label: {str(result.seed): _shares(result.metrics) for result in goals[label]}
+        for label in SHOWN
+        if label in goals
+    }
+    if shares:
+        pictures.save(plan, draw_shares(shares, "seed", "share of the episodes", "goal"), "several")
+        text += (
+            "\n\n![Goals by arm and seed](several.png)\n\n"
+            "Multi-goal, four goals that are equally good: the share of a policy's episodes that "
+            "end at each, one bar a seed."
+        )
+    return text
+
+
+def _shares(metrics: Mapping[str, float]) -> list[float]:
+    return [value for name, value in metrics.items() if name.endswith("_share")]
+
+
+def _ends(results) -> list[str]:
+    """Ends reached and entropy, where the task has ends; and the number of seeds."""
+    cells = []
+    for suffix in ("_reached", "_entropy"):
+        values = [v for result in results for k, v in result.metrics.items() if k.endswith(suffix)]
+        cells.append(f"{statistics.mean(values):.2f}" if values else "")
+    return [*cells, f"n = {len(results)}"]

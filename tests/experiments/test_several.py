@@ -1,0 +1,39 @@
+"""Where several actions pay: the runs, and what is shown of them."""
+
+import pytest
+from written import result
+
+from experiments import pictures, scores, several
+from experiments.plan import make_plan
+from mapg_jax.reports import inference
+from mapg_jax.reports.results import append_csv
+
+
+@pytest.fixture
+def plan(tmp_path, monkeypatch):
+    monkeypatch.setattr(inference, "RESAMPLES", 200)
+    return make_plan("paper", None, None, tmp_path / "runs", tmp_path / "results")
+
+
+def test_repulsion_ends_half_way(plan):
+    for name in several.TASKS:
+        for label in ("diverse", "TD3, diverse"):
+            for config in several.arm(plan, name, label):
+                updates = config.steps * config.updates_per_step
+                assert config.repulsion_updates == round(updates / 2)
+
+
+def test_what_is_found_is_shown(plan):
+    for label, shares in (("DDPG", [1, 0, 0, 0]), ("diverse", [0.25, 0.25, 0.25, 0.25])):
+        numbers = {"goals_reached": sum(x > 0 for x in shares), "goal_entropy": 0.5}
+        numbers |= {f"goal_{i}_share": x for i, x in enumerate(shares, 1)}
+        for config in several.arm(plan, "multi_goal", label)[:2]:
+            append_csv(scores.path(plan), [result(config, -11, metrics=numbers, physics="jax")])
+    plan.results.mkdir(exist_ok=True)
+    text = several.section(plan)
+    assert "| multi_goal | diverse | -11.00 (-11.00 to -11.00) | 4.00 (4.00 to 4.00) |" in text
+    assert (plan.results / "several.png").exists()
+    plotted = (plan.results / pictures.FOLDER / "several.csv").read_text().splitlines()
+    assert len(plotted) == 1 + 2 * 4 * 2  # two panels of four parts of two bars
+    tops = [float(line.split(",")[3]) for line in plotted[1:]]
+    assert tops == [1.0] * 8 + [0.25] * 2 + [0.5] * 2 + [0.75] * 2 + [1.0] * 2
