@@ -6,7 +6,7 @@ import pathlib
 import sys
 import tempfile
 
-from benchmarks.torture import damages, kills
+from benchmarks.torture import damages, hostile, kills
 from benchmarks.torture.tally import Tally
 
 
@@ -14,6 +14,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=6, help="scenarios, of three kills each")
     parser.add_argument("--damages", type=int, default=100, help="scenarios")
+    parser.add_argument("--hostile", type=int, default=200, help="command lines")
     arguments = parser.parse_args()
     logging.disable()  # what is set aside is said, and counted here
     tally, wrong = Tally(), 0
@@ -30,6 +31,9 @@ def main() -> None:
         first = tally.seeds("damage")
         for seed in range(first, first + arguments.damages):
             wrong += count("damage", *damages.scenario(seed))
+        first = tally.seeds("command line")
+        for seed in range(first, first + arguments.hostile):
+            wrong += count("command line", *hostile.scenario(seed, root))
         first = tally.seeds("kill -9")
         for seed in range(first, first + arguments.kills):
             wrong += count("kill -9", *kills.scenario(seed, root))

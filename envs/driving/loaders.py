@@ -8,6 +8,8 @@ from envs.driving.torcs_xml import read_torcs_xml
 from envs.driving.tracks import Track
 from envs.driving.tumftm_csv import read_csv
 
+LARGEST_FILE = 5_000_000  # bytes; the longest of TORCS has less than a hundredth of it
+
 
 def load_track(track: str | Path | Track) -> Track:
     """The track of this name or file; a `Track` is returned as it is.
@@ -33,4 +35,6 @@ def load_track(track: str | Path | Track) -> Track:
         )
     if not path.is_file():
         raise ValueError(f"there is no track file {name}")
+    if path.stat().st_size > LARGEST_FILE:
+        raise ValueError(f"{name} has more than {LARGEST_FILE:,} bytes: it is no track file")
     return readers[path.suffix.lower()](path)

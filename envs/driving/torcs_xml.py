@@ -5,11 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from envs.driving.tracks import Arc, Segment, Straight, Track, from_segments
+from envs.driving.tracks import LONGEST, Arc, Segment, Straight, Track, from_segments
 
 # The first unit is what a number without one is in.
 METRES = {"m": 1.0, "ft": 0.304801, "feet": 0.304801, "km": 1000.0, "mm": 0.001}
 DEGREES = {"rad": 180 / np.pi, "deg": 1.0}
+MOST_PIECES = 10_000
+"""Of a spiral."""
 SURFACES = {  # friction and rolling resistance, by the beginning of a surface's name
     "asphalt": (1.2, 0.001),
     "asphalt2": (1.25, 0.001),
@@ -44,17 +46,21 @@ def _segment(section: "_Section", step: float) -> Segment:
     """One segment of a file whose spirals have pieces of `step` m, 0 for the default."""
     kind = section.text("type")
     if kind == "str":
-        return Straight(section.positive("lg", METRES))
+        return Straight(section.positive("lg", METRES, at_most=LONGEST))
     if kind not in ("lft", "rgt"):
         raise section.error(f"has the type {kind!r}, not str, lft or rgt")
     radius = section.positive("radius", METRES)
     degrees = section.positive("arc", DEGREES)
     end_radius = section.positive("end radius", METRES, radius)
+    length = (radius + end_radius) / 2 * np.deg2rad(degrees)
+    if length > LONGEST:
+        raise section.error(f"is {length:g} m long, more than {LONGEST:g}")
     steps = round(section.number("profil steps", {}, 0.0))
     step = section.number("profil steps length", METRES, step)
     if not steps and step > 0:
-        length = (radius + end_radius) / 2 * np.deg2rad(degrees)
-        steps = int(length / step) + 1
+        steps = int(min(length / step, MOST_PIECES)) + 1
+    if not 0 <= steps <= MOST_PIECES:
+        raise section.error(f"has {steps:g} profil steps, not 0 to {MOST_PIECES:,}")
     return Arc(radius, degrees if kind == "lft" else -degrees, end_radius, steps or None)
 
 
@@ -93,13 +99,23 @@ class _Section:
         try:
             value = float(text)
         except ValueError:
-            raise self.error(f"gives {name!r} as {text!r}, not a number", line) from None
+            value = np.nan
+        if not np.isfinite(value):
+            raise self.error(f"gives {name!r} as {text!r}, not a number", line)
         return value * units[unit or next(iter(units))] if units else value
 
-    def positive(self, name: str, units: dict[str, float], default: float | None = None) -> float:
+    def positive(
+        self,
+        name: str,
+        units: dict[str, float],
+        default: float | None = None,
+        at_most: float = np.inf,
+    ) -> float:
         value = self.number(name, units, default)
-        if not 0 < value < np.inf:
+        if value <= 0:
             raise self.error(f"gives {name!r} as {value:g}, not above 0")
+        if value > at_most:
+            raise self.error(f"gives {name!r} as {value:g}, more than {at_most:g}")
         return value
 
 

@@ -16,6 +16,7 @@ CAR_WIDTH = 1.94  # m
 SAGITTA = 0.05  # m, between the centre line and the chord of a cell
 LONGEST_CELL = 20.0  # m
 SPIRAL_STEP = 8.0  # m, of the pieces of a spiral that does not say its own
+LONGEST = 100_000.0  # m, of a track of a file
 LARGEST_GAP = 1.0  # m, between the two ends of a track that still counts as closed
 LARGEST_KINK = math.radians(1.0)  # rad, likewise
 

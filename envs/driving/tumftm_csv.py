@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from envs.driving.tracks import LONGEST_CELL, SAGITTA, Track
+from envs.driving.tracks import LONGEST, LONGEST_CELL, SAGITTA, Track
 
 CSV_COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")
 LARGEST_STEP_BACK = 3.0  # from the last point of a CSV to its first, of its longest step
@@ -55,6 +55,8 @@ def _csv_points(path: Path) -> np.ndarray:
             f"{path}: the track does not close, its last point lies {steps[-1]:.1f} m "
             f"from its first"
         )
+    if steps.sum() > LONGEST:
+        raise ValueError(f"{path}: a lap is {steps.sum():,.0f} m long, more than {LONGEST:,.0f}")
     return points
 
 

@@ -3,6 +3,7 @@
 import base64
 import html
 import io
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -45,7 +46,8 @@ class Table(NamedTuple):
 
     def markdown(self) -> str:
         """As Markdown, a line a row."""
-        lines = [[cell.replace("|", "\\|") for cell in row] for row in (self.header, *self.rows)]
+        rows = (self.header, *self.rows)
+        lines = [[_line(cell).replace("|", "\\|") for cell in row] for row in rows]
         lines.insert(1, ["---"] * len(self.header))
         return "\n".join(
             "|" + "".join(f" {cell} |" if cell else " |" for cell in line) for line in lines
@@ -94,15 +96,25 @@ def picture_bytes(figure: "Figure", kind: str) -> bytes:
 def _markdown(block: Block) -> str:
     match block:
         case Heading(text, level):
-            return f"{'#' * level} {text}"
+            return f"{'#' * level} {_line(text)}"
         case Paragraph(text):
-            return text
+            return _without_tags(text)
         case Bullets(items):
-            return "\n".join(f"- {item}" for item in items)
+            return "\n".join(f"- {_line(item)}" for item in items)
         case Table():
             return block.markdown()
         case Picture(_, name, text):
             return f"![{text}]({name}.png)\n\n{text}"
+
+
+def _line(text: str) -> str:
+    """A text that may come from a run folder, where a line is wanted."""
+    return _without_tags(" ".join(text.splitlines()))
+
+
+def _without_tags(text: str) -> str:
+    """Markdown passes tags on to the browser, scripts among them; they are to be read instead."""
+    return re.sub(r"<(?=[A-Za-z/!?])", "&lt;", text)
 
 
 def _html(block: Block) -> str:

@@ -25,6 +25,8 @@ from mapg_jax.runs.sealing import refuse_a_broken_seal
 from mapg_jax.training.config import PRESETS, Config, fields, preset
 
 COLUMNS_OF_THEIR_OWN = {"env", "algorithm", "heads", "seed", "steps"}
+MOST_ROWS = 200_000
+"""Of a CSV file of results: a minute's reading."""
 CURVE = ("env_steps", "return_mean", "return_std", "spread", "q_gap_relative")
 
 
@@ -294,6 +296,10 @@ def read_csv(path: str | os.PathLike) -> list[Result]:
     if not path.exists():
         return []
     header, rows = csv_file.read(path)
+    if len(rows) > MOST_ROWS:
+        raise ValueError(
+            f"{path} has {len(rows):,} rows, more than {MOST_ROWS:,}; make parts of it"
+        )
     required = tuple(name for name in COLUMNS if name not in HOST)
     if tuple(header[: len(required)]) != required:
         raise ValueError(
@@ -313,8 +319,16 @@ def append_csv(path: str | os.PathLike, results: Sequence[Result]) -> None:
     rows = merge(itertools.chain(read_csv(path), results))
     path.parent.mkdir(parents=True, exist_ok=True)
     own = list(dict.fromkeys(name for result in rows for name in result.metrics))
-    cells = ([*result[:-1], *(result.metrics.get(name, "") for name in own)] for result in rows)
+    cells = (
+        [*map(_as_text, result[:-1]), *(result.metrics.get(name, "") for name in own)]
+        for result in rows
+    )
     csv_file.write(path, [*COLUMNS, *own], cells)
+
+
+def _as_text(cell: Any) -> Any:
+    """A cell that a spreadsheet would take for a formula is marked as text."""
+    return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@")) else cell
 
 
 def _parse(header: Sequence[str], row: Sequence[str], where: str) -> Result:

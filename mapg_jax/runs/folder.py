@@ -21,6 +21,8 @@ from mapg_jax.training.config import Config, fields
 FORMAT = 3
 """Of run folders. Format 1 (no number in it) had one list of fields for all algorithms; the states
 of format 2 know no head that is held."""
+BITS = ("jax", "jaxlib", "flax", "optax", "mujoco", "mujoco-mjx", "numpy")
+"""Packages whose versions can change last bits."""
 CONFIG_BYTES = 1_000_000
 """Of config.json, at most: a thousand resumptions take less."""
 PACKAGES = ("mapg-jax", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "brax", "mujoco",
@@ -114,6 +116,21 @@ class RunFolder:
         record = _read_record(file)
         record["history"][-1]["host"] = dict(host)
         write_json(file, record)
+
+    def differences(self, host: Mapping[str, str]) -> list[str]:
+        """What the process that trained last had otherwise than this one, as far as bits go."""
+        last = _read_record(self.path / "config.json")["history"][-1:]
+        there, here = dict(*last), this_process()
+        before = {"python": there.get("python"), **dict(there.get("packages") or {})}
+        now = {"python": here["python"], **{name: here["packages"][name] for name in BITS}}
+        recorded = dict(there.get("host") or {})
+        before |= {name: recorded.get(name, value) for name, value in host.items()}
+        now |= {name: value for name, value in host.items() if name != "commit"}
+        return [
+            f"{name} {before.get(name)}, here {value}"
+            for name, value in now.items()
+            if before.get(name) != value
+        ]
 
     def scored_steps(self) -> int:
         """Environment steps behind the score in evaluation.json; -1 without one to be read.

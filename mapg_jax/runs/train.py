@@ -1,6 +1,7 @@
 """Whole runs from Python: trained, saved and scored."""
 
 import dataclasses
+import logging
 import os
 import pathlib
 from collections.abc import Sequence
@@ -8,9 +9,12 @@ from typing import Any
 
 from mapg_jax.runs.finishing import finish
 from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.host import this_host
 from mapg_jax.runs.memory import prepare
 from mapg_jax.runs.run import Callback, Event, Run
 from mapg_jax.training.config import Config
+
+LOG = logging.getLogger(__name__)
 
 __all__ = ["Event", "Trained", "begin", "resume", "take_up", "train"]
 
@@ -109,6 +113,8 @@ def take_up(path: str | os.PathLike, steps: int | None = None) -> Run:
             "--steps with a larger number trains it further"
         )
     if not run.finished:
+        if run.turn and (others := folder.differences(this_host(run.trainer.env.backend))):
+            LOG.warning("%s was trained by %s: bits can differ", path, "; ".join(others))
         folder.write_config()
     return run
 

@@ -337,3 +337,15 @@ def test_boxes_have_a_dot_a_seed_and_name_what_is_missing():
 def test_nothing_to_draw_is_refused():
     with pytest.raises(ValueError, match="nothing to draw"):
         plotting.draw_curves({})
+
+
+def test_what_a_run_folder_says_is_text_in_markdown_too():
+    blocks = [
+        Heading("one\ntwo", 1),
+        Bullets(["<script>alert(1)</script>"]),
+        Table(("a",), [["x\n| y <b>"]]),
+    ]
+    assert markdown(blocks) == (
+        "# one two\n\n- &lt;script>alert(1)&lt;/script>\n\n| a |\n| --- |\n| x \\| y &lt;b> |\n"
+    )
+    assert markdown([Paragraph("p < 0.05")]) == "p < 0.05\n"

@@ -320,3 +320,9 @@ def test_thinned_curves_end_with_the_run(rows, tmp_path):
     np.testing.assert_array_equal(curve["return_mean"], steps / 100 / 7)
     assert np.isnan(curve["spread"]).all()
     assert np.isnan(curve["q_gap_relative"]).all()
+
+
+def test_a_cell_is_no_formula_for_a_spreadsheet(tmp_path):
+    append_csv(tmp_path / "results.csv", [RESULT._replace(command="=cmd|' /C calc'!A0")])
+    append_csv(tmp_path / "results.csv", [RESULT._replace(seed=RESULT.seed + 1)])
+    assert read_csv(tmp_path / "results.csv")[0].command == "'=cmd|' /C calc'!A0"

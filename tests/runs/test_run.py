@@ -13,7 +13,7 @@ import oracles
 import pytest
 
 from mapg_jax.runs.checkpoints import Checkpoints
-from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.folder import RunFolder, write_json
 from mapg_jax.runs.member import DivergedError, Member
 from mapg_jax.runs.memory import prepare
 from mapg_jax.runs.metrics import read_metrics
@@ -128,6 +128,18 @@ def test_a_run_is_locked_from_the_look_at_its_checkpoints_on(finished_run, tmp_p
         take_up(folder.path)
     run.go()
     folder.lock().close()
+
+
+def test_another_machine_is_said(finished_run, tmp_path, caplog):
+    folder = oracles.copy_run(finished_run, tmp_path / "run", upto=400)
+    take_up(folder.path)
+    assert "bits can differ" not in caplog.text
+    record = json.loads((folder.path / "config.json").read_text())
+    record["history"][-1]["packages"]["jax"] = "0.1"
+    record["history"][-1]["host"]["processor"] = "abacus"
+    write_json(folder.path / "config.json", record)
+    take_up(folder.path)
+    assert re.search(r"run was trained by jax 0\.1, here .*; processor abacus, here ", caplog.text)
 
 
 def test_a_member_of_a_group_goes_on_in_the_program_of_all(tmp_path):

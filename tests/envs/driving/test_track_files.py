@@ -67,6 +67,14 @@ def test_spirals_have_the_steps_of_the_file(tmp_path, steps):
         ('"Main Track"', '"Side Track"', r"line 1: section 'park' has no section 'Main Track'"),
         ('val="lft"', 'val="left"', r"line 14: section 'c1' has the type 'left', not str"),
         ('val="120"', 'val="long"', r"line 13: section 's1' gives 'lg' as 'long', not a number"),
+        ('val="120"', 'val="inf"', r"line 13: section 's1' gives 'lg' as 'inf', not a number"),
+        ('val="120"', 'val="1e9"', r"line 13: section 's1' gives 'lg' as 1e\+09, more than 1"),
+        ('unit="m" val="50"', 'val="1e9"', r"line 14: section 'c1' is 3\.1\d*e\+09 m long, more"),
+        (
+            'name="radius" unit',
+            'name="profil steps" val="1e9"/><attnum name="radius" unit',
+            r"line 14: section 'c1' has 1e\+09 profil steps, not 0 to 10,000",
+        ),
         ('val="120"', 'val="-120"', r"line 13: section 's1' gives 'lg' as -120, not above 0"),
         ('unit="m" val="50"', 'unit="yd" val="50"', r"line 14: .* gives 'radius' in 'yd', not m"),
         ('name="radius"', 'name="r"', r"line 14: section 'c1' has no 'radius'"),
@@ -178,3 +186,11 @@ def test_a_name_a_seed_or_a_track():
     assert load_track("random:5").name == "random:5"
     track = load_track("road")
     assert isinstance(track, Track) and load_track(track) is track
+
+
+def test_what_is_too_large_to_be_a_track_is_refused(tmp_path):
+    far = "\n".join(f"{1e7 * np.cos(a)},{1e7 * np.sin(a)},5,5" for a in np.linspace(0, 6, 20))
+    with pytest.raises(ValueError, match=r"a lap is 6\d,\d+,\d+ m long, more than 100,000"):
+        load_track(write(tmp_path, far, "far.csv"))
+    with pytest.raises(ValueError, match="has more than 5,000,000 bytes: it is no track file"):
+        load_track(write(tmp_path, "#" * 5_000_001, "large.csv"))
