@@ -16,7 +16,8 @@ from mapg_jax.training.config import PRESETS, config_type, fields, preset
 
 VALUES = ("-1", "0", "1", "7", "1e9", "-1e30", "1e308", "nan", "inf", "none", "true", "", " ", "x",
           "é²", "10000000000000", "2147483647", "0.5", "[[", "=", "a=b", "--", "pendulum", "hopper",
-          "halfcheetah", "brax:ant", "brax:", "mjx", "native", "64,64", "1,", "episode", "9" * 400)  # fmt: skip
+          "halfcheetah", "brax:ant", "brax:", "mjx", "native", "64,64", "1,", "episode",
+          "9" * 400)  # fmt: skip
 
 
 def scenario(seed: int, root: pathlib.Path) -> tuple[str, str]:
