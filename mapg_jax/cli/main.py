@@ -44,11 +44,7 @@ def main() -> None:
         command = importlib.import_module(f"mapg_jax.cli.{name}")
         arguments = refuse_politely(lambda: command.parse(flags))
     with own_stdout() as out:
-        status = _run(command, arguments, out)
-    if status:
-        sys.stderr.flush()
-        # A program that is still being compiled, which nobody waits for, would hold up an exit.
-        os._exit(status)
+        _run(command, arguments, out)
 
 
 def parser(name: str, epilog: str = "") -> Parser:
@@ -69,26 +65,24 @@ def _ended_by_interrupts():
         signal.signal(signal.SIGINT, previous)
 
 
-def _run(command, arguments, out: TextIO) -> int:
-    """Runs a command; gives the exit status."""
+def _run(command, arguments, out: TextIO) -> None:
     import jax
 
     from mapg_jax.runs.member import DivergedError
-    from mapg_jax.runs.signals import StoppedError
+    from mapg_jax.runs.signals import StoppedError, leave
 
     jax.config.update("jax_compilation_cache_dir", str(_cache_folder()))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
     try:
         command.run(arguments, out)
     except DivergedError as error:
-        return complain(str(error), 1)
+        sys.exit(complain(str(error), 1))
     except KeyboardInterrupt:
-        return complain("interrupted", 130)
+        sys.exit(complain("interrupted", 130))
     except OSError as error:  # a full disk, say
-        return complain(str(error), 1)
+        sys.exit(complain(str(error), 1))
     except StoppedError as error:
-        return complain(str(error), 128 + error.number)
-    return 0
+        leave(complain(str(error), 128 + error.number))
 
 
 def _help() -> str:

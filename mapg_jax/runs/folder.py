@@ -201,9 +201,11 @@ def refuse_special_files(path: pathlib.Path) -> None:
     """
     for folder, folders, files in os.walk(path):
         for file in (pathlib.Path(folder, name) for name in (*folders, *files)):
-            if not stat.S_ISDIR(mode := file.lstat().st_mode) and not stat.S_ISREG(mode):
-                what = "a link" if stat.S_ISLNK(mode) else "no file"
-                raise ValueError(f"{file} is {what}, and a run folder holds files of its own alone")
+            with contextlib.suppress(FileNotFoundError):  # of a run that is being trained
+                mode = file.lstat().st_mode
+                if not stat.S_ISDIR(mode) and not stat.S_ISREG(mode):
+                    what = "a link" if stat.S_ISLNK(mode) else "no file"
+                    raise ValueError(f"{file} is {what}; a run folder holds files of its own alone")
     for name in ("config.json", "metrics.csv", "evaluation.json", "curve.png", ".lock"):
         if (path / name).is_dir():
             raise ValueError(f"{path / name} is a folder, and should be a file")

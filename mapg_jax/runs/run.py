@@ -20,7 +20,7 @@ from mapg_jax.runs.locking import Lock
 from mapg_jax.runs.member import Member
 from mapg_jax.runs.metrics import MetricsFile, Row
 from mapg_jax.runs.progress import Progress
-from mapg_jax.runs.signals import StoppedError
+from mapg_jax.runs.signals import ABANDONED, StoppedError
 from mapg_jax.training.lockstep import Lockstep
 from mapg_jax.training.trainer import Trainer
 
@@ -198,6 +198,8 @@ class Run:
         thread.start()
         while thread.is_alive():
             thread.join(0.1)
+            if watch.signals:
+                thread.name = ABANDONED
             watch.obey()
         (result,) = done
         if isinstance(result, Exception):

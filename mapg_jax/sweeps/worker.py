@@ -16,7 +16,7 @@ from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.member import DivergedError
 from mapg_jax.runs.memory import prepare
 from mapg_jax.runs.run import Run
-from mapg_jax.runs.signals import StoppedError, caught_signals
+from mapg_jax.runs.signals import StoppedError, caught_signals, leave
 from mapg_jax.training import plugins
 
 
@@ -60,8 +60,7 @@ def main() -> None:
         folders = [RunFolder.open(path) for path in arguments.folders]
         work(folders, arguments.keep_replay, arguments.idle)
     except StoppedError as stopped:
-        # A program that is still being compiled, which nobody waits for, would hold up an exit.
-        os._exit(128 + stopped.number)
+        leave(128 + stopped.number)
 
 
 def _stop_with_the_parent() -> None:
