@@ -128,6 +128,9 @@ class Episodes(Wrapper, Env):
     hold, as in Gymnasium), `final_observation` (what `step` observed before a reset replaced it),
     `steps` (of the present episode) and `episode` (how many ended before it). `done` is
     either end. Each start is a fresh draw from the instance's own key and the episode's number.
+
+    A step whose observation or reward is not finite is `broken`: it cuts the episode off where it
+    began, with its last observation and a reward of 0.
     """
 
     def __init__(self, env: Env, time_limit: int):
@@ -155,6 +158,7 @@ class Episodes(Wrapper, Env):
         info = {
             "terminated": no,
             "truncated": no,
+            "broken": no,
             "final_observation": state.obs,
             "steps": zero,
             "episode": zero,
@@ -165,8 +169,10 @@ class Episodes(Wrapper, Env):
     def step(self, state: State, action: Action) -> State:
         nstate = self.env.step(state, jnp.asarray(action))
         steps = state.info["steps"] + 1
-        terminated = nstate.done > 0.5
-        truncated = steps >= self.time_limit
+        observation = jnp.asarray(nstate.obs)
+        broken = ~(jnp.isfinite(observation).all() & jnp.isfinite(nstate.reward))
+        terminated = (nstate.done > 0.5) & ~broken
+        truncated = (steps >= self.time_limit) | broken
         ended = terminated | truncated
         episode = state.info["episode"] + ended
 
@@ -180,7 +186,8 @@ class Episodes(Wrapper, Env):
         info = {
             "terminated": terminated,
             "truncated": truncated,
-            "final_observation": nstate.obs,
+            "broken": broken,
+            "final_observation": jnp.where(broken, jnp.asarray(state.obs), observation),
             "steps": jnp.where(ended, 0, steps),
             "episode": episode,
             "key": state.info["key"],
@@ -188,6 +195,7 @@ class Episodes(Wrapper, Env):
         return nstate.replace(
             pipeline_state=pipeline_state,
             obs=obs,
+            reward=jnp.where(broken, 0.0, nstate.reward),
             done=ended.astype(nstate.done.dtype),
             info={**nstate.info, **own_info, **info},
         )

@@ -7,7 +7,8 @@ import numpy as np
 
 from experiments.plan import EARLIER_SEEDS, FIRST_SEED, Plan
 from mapg_jax.reports import inference as statistics
-from mapg_jax.reports.results import Result, append_csv, read_csv, read_scored, run_key
+from mapg_jax.reports.results import Result, read_scored, run_key
+from mapg_jax.reports.results_csv import append_csv, read_csv
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.training.config import Config
 

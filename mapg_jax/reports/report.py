@@ -25,11 +25,11 @@ from mapg_jax.reports.results import (
     find_runs,
     identity,
     merge,
-    read_csv,
     read_curve,
     read_run,
     separate,
 )
+from mapg_jax.reports.results_csv import read_csv
 from mapg_jax.reports.tables import by_cell, table_csv, tables
 
 LEGEND = (

@@ -1,32 +1,27 @@
-"""Finished runs as records: one row of a results CSV each."""
+"""Finished runs as records, and what makes two of them comparable."""
 
 import contextlib
 import dataclasses
 import datetime
 import functools
-import itertools
 import json
 import math
 import os
 import pathlib
 import shlex
 import types
-import typing
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from mapg_jax.algorithms import registry
-from mapg_jax.runs import csv_file
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.metrics import read_metrics
 from mapg_jax.runs.sealing import refuse_a_broken_seal
 from mapg_jax.training.config import PRESETS, Config, fields, preset
 
 COLUMNS_OF_THEIR_OWN = {"env", "algorithm", "heads", "seed", "steps"}
-MOST_ROWS = 200_000
-"""Of a CSV file of results: a minute's reading."""
 CURVE = ("env_steps", "return_mean", "return_std", "spread", "q_gap_relative")
 
 
@@ -78,7 +73,6 @@ class Result(NamedTuple):
 
 COLUMNS = Result._fields[:-1]
 """Of a CSV file of results, before those of the environments' own metrics."""
-_HINTS = typing.get_type_hints(Result)
 HOST = tuple(name for name in COLUMNS if name in Result._field_defaults)
 """Those of the process that trained, which older files do not have."""
 
@@ -129,8 +123,8 @@ def read_scored(folder: RunFolder) -> tuple[Result, dict[str, Any]]:
     with _reading(folder.evaluation) as score:
         result = Result(
             **run_key(config)._replace(steps=int(last["env_steps"]))._asdict(),
-            return_mean=_finite(score["mean"]),
-            return_std=_finite(score["std"]),
+            return_mean=finite(score["mean"]),
+            return_std=finite(score["std"]),
             episodes=int(score["episodes"]),
             select=str(score["select"]),
             physics=str(score["physics"]),
@@ -286,76 +280,6 @@ def merge(results: Iterable[Result]) -> list[Result]:
     return list(kept.values())
 
 
-def read_csv(path: str | os.PathLike) -> list[Result]:
-    """The rows of a results CSV; none if there is no file.
-
-    Raises:
-      ValueError: if a column is missing or unknown, or a number is not one.
-    """
-    path = pathlib.Path(path)
-    if not path.exists():
-        return []
-    header, rows = csv_file.read(path)
-    if len(rows) > MOST_ROWS:
-        raise ValueError(
-            f"{path} has {len(rows):,} rows, more than {MOST_ROWS:,}; make parts of it"
-        )
-    required = tuple(name for name in COLUMNS if name not in HOST)
-    if tuple(header[: len(required)]) != required:
-        raise ValueError(
-            f"{path} is no CSV of results: its columns are {','.join(header)[:200]}, "
-            f"not {','.join(required)}"
-        )
-    return [_parse(header, row, f"{path}, row {number}") for number, row in enumerate(rows, 2)]
-
-
-def append_csv(path: str | os.PathLike, results: Sequence[Result]) -> None:
-    """Adds those results that the file lacks: all of them or, if that fails, none.
-
-    Raises:
-      ValueError: if a run is there with another score, or the file is damaged.
-    """
-    path = pathlib.Path(path)
-    rows = merge(itertools.chain(read_csv(path), results))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    own = list(dict.fromkeys(name for result in rows for name in result.metrics))
-    cells = (
-        [*map(_as_text, result[:-1]), *(result.metrics.get(name, "") for name in own)]
-        for result in rows
-    )
-    csv_file.write(path, [*COLUMNS, *own], cells)
-
-
-def _as_text(cell: Any) -> Any:
-    """A cell that a spreadsheet would take for a formula is marked as text."""
-    return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@")) else cell
-
-
-def _parse(header: Sequence[str], row: Sequence[str], where: str) -> Result:
-    """Texts as the types of the fields; further columns are numbers of some environment."""
-    if len(row) != len(header):
-        raise ValueError(f"{where} has {len(row)} cells, not {len(header)}")
-    values: dict[str, Any] = {"metrics": {}}
-    for name, text in zip(header, row, strict=True):
-        try:
-            if name in COLUMNS:
-                kind = _HINTS[name]
-                values[name] = _finite(text) if kind is float else kind(text)
-            elif text:
-                values["metrics"][name] = _finite(text)
-        except ValueError:
-            raise ValueError(f"{where}: {name} is no number: {text!r}") from None
-    result = Result(**values)
-    try:
-        _known(result.algorithm, result.heads)
-    except ValueError as error:
-        raise ValueError(f"{where}: {error}") from None
-    return result
-
-
-_known = functools.cache(registry.of_slug)  # which asks installed packages
-
-
 def _metrics(folder: RunFolder) -> list[dict[str, float]]:
     try:
         rows = read_metrics(folder.metrics)
@@ -377,7 +301,8 @@ def _reading(path: pathlib.Path) -> Iterator[dict[str, Any]]:
         raise ValueError(f"{path} is damaged: {error}") from None
 
 
-def _finite(value: str | int | float) -> float:
+def finite(value: str | int | float) -> float:
+    """The number; ValueError if it is none, or not finite."""
     number = float(value)
     if not math.isfinite(number):
         raise ValueError(f"{value} is not finite")

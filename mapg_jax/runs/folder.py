@@ -18,9 +18,9 @@ from typing import Any
 from mapg_jax.runs import locking
 from mapg_jax.training.config import Config, fields
 
-FORMAT = 3
+FORMAT = 4
 """Of run folders. Format 1 (no number in it) had one list of fields for all algorithms; the states
-of format 2 know no head that is held."""
+of format 2 know no head that is held, those of format 3 count no broken steps."""
 BITS = ("jax", "jaxlib", "flax", "optax", "mujoco", "mujoco-mjx", "numpy")
 """Packages whose versions can change last bits."""
 CONFIG_BYTES = 1_000_000

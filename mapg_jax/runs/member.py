@@ -1,6 +1,7 @@
 """What the host keeps of one run: its folder, its checkpoints, and the rows of its metrics."""
 
 import math
+import shutil
 from typing import Any
 
 import jax
@@ -14,11 +15,13 @@ from mapg_jax.training.evaluation import Played, summarize
 from mapg_jax.training.state import Totals
 from mapg_jax.training.trainer import Trainer
 
-DIVERGED = "a loss or parameter is no longer finite"
+DIVERGED = "numbers are no longer finite"
+BROKEN_SHARE = 0.01
+"""Of the environments: so many broken steps in a chunk are pardoned, and one at least."""
 
 
 class DivergedError(ArithmeticError):
-    """A loss or a parameter is no longer finite; the message begins with DIVERGED."""
+    """What a run learns from, or learns, is no longer finite; the message begins with DIVERGED."""
 
 
 class Member:
@@ -31,6 +34,7 @@ class Member:
         )
         self.seconds_before = 0.0  # of earlier processes
         self.failure: DivergedError | None = None
+        self._broken = 0.0  # steps since the last row, as of the chunk before
 
     def load(self, shapes: Any, step: int) -> Any:
         """The state of a checkpoint; one that is damaged is set aside.
@@ -72,15 +76,34 @@ class Member:
         self.folder.evaluation.unlink(missing_ok=True)
         return MetricsFile(self.folder.metrics, env_steps)
 
-    def check_finite(self, learner: Any, diverged_at: int, env_steps: int) -> None:
-        """Notes a failure if a loss was not finite at a step, or a parameter is not."""
-        at = diverged_at
-        if at < 0 and not all(np.isfinite(x).all() for x in jax.tree.leaves(learner)):
-            at = env_steps
-        if at >= 0:
+    def check_finite(self, learner: Any, diverged_at: int, totals: Totals, env_steps: int) -> None:
+        """Notes a failure if a loss was not finite at a step, a parameter is not, or too many
+        environments gave what is not.
+
+        Args:
+          learner: what is learnt.
+          diverged_at: the step of the first metric that was not finite, or -1.
+          totals: since the last row.
+          env_steps: now.
+        """
+        broken = float(totals.broken)
+        before = self._broken if broken >= self._broken else 0.0  # a row sets it back
+        self._broken = broken
+        at, what = env_steps, _not_finite(learner)
+        if diverged_at >= 0:
+            at, what = diverged_at, _not_finite(totals.update_metrics) or "a metric"
+        elif not what and broken - before > max(1.0, BROKEN_SHARE * self.config.environments):
+            what = f"observations or rewards of {broken - before:,.0f} steps"
+        if what:
             newest = self.checkpoints.newest()
             kept = f"the checkpoint at step {newest:,} stays" if newest else "no checkpoint was due"
-            self.failure = DivergedError(f"{DIVERGED} at step {at:,}; {kept}")
+            self.failure = DivergedError(f"{DIVERGED} at step {at:,} ({what}); {kept}")
+
+    def save_for_inspection(self, state: Any) -> None:
+        """The state of a run that failed, in `diverged/`; no run goes on from it."""
+        path = self.folder.path / "diverged"
+        shutil.rmtree(path, ignore_errors=True)  # of an earlier process
+        Checkpoints(path, 1, self.folder.digest).save(state, {})
 
     def row(
         self,
@@ -113,6 +136,7 @@ class Member:
             "training_return": totals.episode_return / episodes,
             "training_episode_length": totals.episode_length / episodes,
             "training_episodes": int(totals.episodes),
+            "broken_steps": int(totals.broken),
             **{k: v / updates for k, v in totals.update_metrics._asdict().items()},
             **{k: float(v) for k, v in played.heads._asdict().items()},
             **{
@@ -124,3 +148,11 @@ class Member:
             * float(trainer.turn.updates_ratio * trainer.steps_per_turn),
             "seconds": self.seconds_before + seconds,
         }
+
+
+def _not_finite(tree: Any) -> str:
+    """The name of a leaf that is not finite, or nothing."""
+    for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
+        if not np.isfinite(leaf).all():
+            return jax.tree_util.keystr(path).lstrip(".")
+    return ""

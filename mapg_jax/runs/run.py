@@ -240,10 +240,13 @@ class Run:
         return rows
 
     def _check_finite(self, state: Any) -> None:
-        fetched = jax.device_get((state.agent.learner, state.diverged_at))
+        fetched = jax.device_get((state.agent.learner, state.diverged_at, state.totals))
         for k in self._healthy():
-            learner, diverged_at = self.program.of_run(fetched, k)
-            self.members[k].check_finite(learner, int(diverged_at), self.env_steps)
+            member = self.members[k]
+            learner, diverged_at, totals = self.program.of_run(fetched, k)
+            member.check_finite(learner, int(diverged_at), totals, self.env_steps)
+            if member.failure:
+                member.save_for_inspection(self.program.plain_state(state, k))
         if not self._healthy():
             raise next(member.failure for member in self.members if member.failure)
 

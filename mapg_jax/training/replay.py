@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jaxtyping import PRNGKeyArray
+from jaxtyping import Array, Bool, PRNGKeyArray
 
 Items = Any
 """A tree of arrays with equal leading axes."""
@@ -31,21 +31,26 @@ def init(item: Items, slots: int) -> ReplayState:
     return ReplayState(data, jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32))
 
 
-def add(state: ReplayState, items: Items) -> ReplayState:
-    """The ring with N items added in order, each over the oldest one once it is full.
+def add(state: ReplayState, items: Items, kept: Bool[Array, "N"]) -> ReplayState:
+    """The ring with those of N items that are kept, in order, each over the oldest once it is full.
 
     Args:
       state: the ring.
       items: leaves [N, ...], N at most the number of slots.
+      kept: which of them.
     """
     slots = capacity(state)
-    n = jax.tree.leaves(items)[0].shape[0]
+    n = len(kept)
     if n > slots:
         raise ValueError(f"{n} items do not fit {slots} slots")
-    index = (state.position + jnp.arange(n)) % slots
-    data = jax.tree.map(
-        lambda x, new: x.at[index].set(new.astype(x.dtype), unique_indices=True), state.data, items
-    )
+    place = (state.position + jnp.cumsum(kept) - 1) % slots
+    index = jnp.where(kept, place, slots + jnp.arange(n))  # past the end: dropped
+
+    def put(old, new):
+        return old.at[index].set(new.astype(old.dtype), mode="drop", unique_indices=True)
+
+    data = jax.tree.map(put, state.data, items)
+    n = kept.sum()
     return ReplayState(data, (state.position + n) % slots, jnp.minimum(state.size + n, slots))
 
 

@@ -17,6 +17,7 @@ class Totals(NamedTuple):
     episodes: jax.Array  # [] f32
     episode_return: jax.Array  # []
     episode_length: jax.Array  # [] steps
+    broken: jax.Array  # [] f32, steps whose observation or reward was not finite
 
 
 class TrainState(struct.PyTreeNode):

@@ -72,7 +72,7 @@ class Trainer:
             key=keys.loop,
             env_steps=jnp.zeros((), jnp.int32),
             diverged_at=jnp.full((), -1, jnp.int32),
-            totals=Totals(zero, metrics(*(zero,) * len(metrics._fields)), zero, zero, zero),
+            totals=Totals(zero, metrics(*(zero,) * len(metrics._fields)), zero, zero, zero, zero),
         )
         return self.turn.begin(state)
 
@@ -158,6 +158,7 @@ def _counted(state: TrainState, env: envs.State) -> TrainState:
         episodes=state.totals.episodes + ended.sum(),
         episode_return=state.totals.episode_return + (ended * running_return).sum(),
         episode_length=state.totals.episode_length + steps_ended.sum(),
+        broken=state.totals.broken + env.info["broken"].sum(),
     )
     return state.replace(
         env=env,

@@ -91,10 +91,11 @@ class ReplayTurn:
         return self.learn(state, sample_key, update_key)
 
     def collect(self, state: TrainState, key: PRNGKeyArray) -> TrainState:
-        """One step of every environment, stored."""
+        """One step of every environment, stored where it is finite."""
         state = state.replace(agent=self.agent.see(state.agent, jnp.asarray(state.env.obs)))
         state, transition, _ = self.step(state, key)
-        return state.replace(replay=replay.add(state.replay, transition))
+        whole = ~state.env.info["broken"]
+        return state.replace(replay=replay.add(state.replay, transition, whole))
 
     def learn(
         self, state: TrainState, sample_key: PRNGKeyArray, update_key: PRNGKeyArray

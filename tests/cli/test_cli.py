@@ -41,7 +41,7 @@ def workplace(tmp_path, finished_run):
         "unknown": text.replace('"heads"', '"haeds"'),
         "typed": text.replace('"heads": 3', '"heads": "three"'),
         "listed": "[]",
-        "nested": '{"format": 3, "config": []}',
+        "nested": '{"format": 4, "config": []}',
         "older": '{"config": {"env": "pendulum"}}',
     }.items():
         (tmp_path / name).mkdir()

@@ -60,6 +60,21 @@ def oracle(reset, step, time_limit, key, actions):
     return [np.stack(column) for column in zip(*shown, strict=True)]
 
 
+def test_a_step_that_is_not_finite_cuts_the_episode_off_where_it_began():
+    wrapped = with_episodes(Countdown(), TIME_LIMIT)
+    actions = jnp.zeros((12, 1)).at[jnp.array([0, 5, 6]), 0].set(jnp.nan)
+    start, states = jax.jit(lambda: play(wrapped, jax.random.key(3), actions))()
+    broken = states.info["broken"]
+    np.testing.assert_array_equal(np.flatnonzero(broken), [0, 5, 6])
+    assert states.info["truncated"][broken].all()
+    assert not states.info["terminated"][broken].any()
+    np.testing.assert_array_equal(states.reward[broken], 0.0)
+    before = jnp.concatenate([start.obs[None], states.obs[:-1]])
+    np.testing.assert_array_equal(states.info["final_observation"][broken], before[broken])
+    assert (states.obs[broken, 1] != before[broken, 1]).all()  # another start
+    np.testing.assert_array_equal(states.info["steps"][broken], 0)
+
+
 def assert_is_the_oracle(env, time_limit, keys, actions):
     wrapped = with_episodes(env, time_limit)
     _, states = jax.jit(jax.vmap(lambda key, a: play(wrapped, key, a)))(keys, actions)

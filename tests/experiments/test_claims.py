@@ -8,7 +8,7 @@ from experiments import claims, curves, fig2, fig3, overhead, page, returns, row
 from experiments.comparisons import judge
 from experiments.plan import A3C, DDPG, FIRST_SEED, MAPG, NO_NOISE, make_plan
 from mapg_jax.reports import inference as statistics
-from mapg_jax.reports.results import append_csv
+from mapg_jax.reports.results_csv import append_csv
 
 
 @pytest.fixture

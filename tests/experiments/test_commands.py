@@ -9,7 +9,8 @@ import pytest
 from experiments.catalogue import TITLES, runs
 from experiments.plan import EARLIER_SEEDS, make_plan
 from mapg_jax.cli import fields, paper, train
-from mapg_jax.reports.results import Result, read_csv, settings
+from mapg_jax.reports.results import Result, settings
+from mapg_jax.reports.results_csv import read_csv
 from mapg_jax.training.config import preset
 
 SCORES = pathlib.Path(__file__).parents[2] / "results" / "scores.csv"

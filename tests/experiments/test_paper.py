@@ -23,7 +23,7 @@ from experiments import (
 )
 from experiments.catalogue import LATER, TITLES, Name, experiment
 from experiments.plan import A3C, DDPG, MAPG, NO_NOISE, Plan, in_order, item, make_plan, name
-from mapg_jax.reports.results import append_csv
+from mapg_jax.reports.results_csv import append_csv
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.member import DIVERGED
 from mapg_jax.runs.sealing import write_score

@@ -23,7 +23,7 @@ from experiments.catalogue import TITLES, runs
 from experiments.plan import A3C, DDPG, MAPG, make_plan
 from mapg_jax.reports import inference as statistics
 from mapg_jax.reports import plots
-from mapg_jax.reports.results import append_csv
+from mapg_jax.reports.results_csv import append_csv
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from written import result
 from experiments import pictures, scores, several
 from experiments.plan import make_plan
 from mapg_jax.reports import inference
-from mapg_jax.reports.results import append_csv
+from mapg_jax.reports.results_csv import append_csv
 
 
 @pytest.fixture

@@ -4,7 +4,8 @@ import numpy as np
 
 from experiments import curves, fig2, rows, scores
 from experiments.plan import DRIVING, FIRST_SEED, MAPG
-from mapg_jax.reports.results import Result, append_csv, run_key
+from mapg_jax.reports.results import Result, run_key
+from mapg_jax.reports.results_csv import append_csv
 
 
 def result(config, score, **extra) -> Result:

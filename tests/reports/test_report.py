@@ -13,7 +13,8 @@ from mapg_jax.reports import inference as statistics
 from mapg_jax.reports import plots as plotting
 from mapg_jax.reports import report, tables
 from mapg_jax.reports.document import Bullets, Heading, Paragraph, Picture, Table, markdown, page
-from mapg_jax.reports.results import append_csv, read_run, sort_settings
+from mapg_jax.reports.results import read_run, sort_settings
+from mapg_jax.reports.results_csv import append_csv
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.training.config import Config, preset
 

@@ -16,10 +16,8 @@ from mapg_jax.reports.results import (
     COLUMNS,
     HOST,
     UnfinishedError,
-    append_csv,
     find_runs,
     merge,
-    read_csv,
     read_curve,
     read_run,
     run_key,
@@ -27,6 +25,7 @@ from mapg_jax.reports.results import (
     settings,
     sort_settings,
 )
+from mapg_jax.reports.results_csv import append_csv, read_csv
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.sealing import write_score
 from mapg_jax.training.config import PRESETS, Config, preset
@@ -272,7 +271,12 @@ def test_settings_are_told_from_the_nearest_preset(name, algorithm):
 
     found = sorted_settings(steps=7, evaluation_episodes=3)
     if name == "diverse":  # the paper's, but for options of the algorithm's own
-        theirs = registry.find(algorithm).presets.get(name, {})
+        options = registry.find(algorithm)
+        theirs = {
+            k: v
+            for k, v in options.presets.get(name, {}).items()
+            if v != getattr(options.Options, k)
+        }
         assert found[:2] == ("paper", "")
         assert len(shlex.split(found.own)) == len(theirs)
         return

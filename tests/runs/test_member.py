@@ -5,7 +5,14 @@ import numpy as np
 import oracles
 import pytest
 
+from mapg_jax.algorithms.deterministic import UpdateMetrics
 from mapg_jax.runs.member import DivergedError, Member
+from mapg_jax.training.state import Totals
+
+
+def totals(broken=0):
+    """Since the last row."""
+    return Totals(0, (), 0, 0, 0, np.float32(broken))
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +28,7 @@ def test_any_parameter_that_is_not_finite_is_a_divergence(member_and_learner, va
     member, learner = member_and_learner
     leaves, structure = jax.tree.flatten(learner)
     member.failure = None
-    member.check_finite(learner, -1, 40)
+    member.check_finite(learner, -1, totals(), 40)
     assert member.failure is None
     floats = [i for i, leaf in enumerate(leaves) if np.issubdtype(leaf.dtype, np.floating)]
     assert len(floats) > 40
@@ -29,14 +36,28 @@ def test_any_parameter_that_is_not_finite_is_a_divergence(member_and_learner, va
         leaf = np.array(leaves[i])
         leaf.flat[-1] = value
         member.failure = None
-        member.check_finite(structure.unflatten([*leaves[:i], leaf, *leaves[i + 1 :]]), -1, 40)
+        broken = structure.unflatten([*leaves[:i], leaf, *leaves[i + 1 :]])
+        member.check_finite(broken, -1, totals(), 40)
         assert isinstance(member.failure, DivergedError)
-        assert "no longer finite at step 40; no checkpoint was due" in str(member.failure)
+        assert "no longer finite at step 40 (" in str(member.failure)
+        assert "; no checkpoint was due" in str(member.failure)
 
 
 def test_the_step_of_a_metric_that_was_not_finite_is_named(member_and_learner):
     """Also where the parameters are finite."""
     member, learner = member_and_learner
     member.failure = None
-    member.check_finite(learner, 24, 40)
-    assert "no longer finite at step 24" in str(member.failure)
+    sums = UpdateMetrics(1.0, 2.0, np.nan, 3.0, 4.0)
+    member.check_finite(learner, 24, totals()._replace(update_metrics=sums), 40)
+    assert "no longer finite at step 24 (q_mean)" in str(member.failure)
+
+
+def test_broken_steps_are_counted_by_the_chunk(member_and_learner):
+    """One environment's, or 1 % of them, are pardoned; a row sets the count back."""
+    member, learner = member_and_learner
+    member.failure = None
+    for broken in (1, 2, 3, 0, 1, 1, 2):
+        member.check_finite(learner, -1, totals(broken), 40)
+        assert member.failure is None
+    member.check_finite(learner, -1, totals(4), 44)
+    assert "at step 44 (observations or rewards of 2 steps)" in str(member.failure)

@@ -179,10 +179,11 @@ def test_seconds_go_on_where_they_stopped(finished_run, tmp_path):
 def test_divergence_stops_at_its_step(tmp_path):
     """A rate of 1e30: the second update of step 16 meets parameters near 1e30, and overflows."""
     run = begin(dataclasses.replace(oracles.RUN, critic_learning_rate=1e30), tmp_path / "run")
-    with pytest.raises(DivergedError, match="no longer finite at step 16; no checkpoint was due"):
+    with pytest.raises(DivergedError, match=r"finite at step 16 \(.+\); no checkpoint was due"):
         run.go()
     assert read_metrics(run.folder.metrics) == []
     assert Checkpoints(run.folder.checkpoints).newest() is None
+    assert Checkpoints(run.folder.path / "diverged").newest() == run.env_steps
 
 
 def test_divergence_keeps_the_last_checkpoint(finished_run, tmp_path):
@@ -192,6 +193,6 @@ def test_divergence_keeps_the_last_checkpoint(finished_run, tmp_path):
     bad = good.replace(agent=good.agent.replace(hyper=hyper))
     shutil.rmtree(folder.checkpoints / "64")
     Member(folder).save(bad, 0.0)
-    with pytest.raises(DivergedError, match="at step 68; the checkpoint at step 64 stays"):
+    with pytest.raises(DivergedError, match=r"at step 68 \(.+\); the checkpoint at step 64 stays"):
         take_up(folder.path).go()
     oracles.assert_equal(oracles.newest_state(folder), bad)

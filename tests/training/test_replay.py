@@ -10,7 +10,11 @@ import pytest
 
 from mapg_jax.training import replay
 
-add = jax.jit(replay.add)
+
+@jax.jit
+def add(state, items):
+    """All of them."""
+    return replay.add(state, items, jnp.ones(len(jax.tree.leaves(items)[0]), bool))
 
 
 def items(start, n):
@@ -45,14 +49,26 @@ def test_ring_keeps_exactly_the_newest(slots):
 
 def test_items_take_the_type_of_their_slots():
     state = replay.init(jnp.zeros((), jnp.uint8), 4)
-    state = replay.add(state, jnp.array([3, 255]))
+    state = add(state, jnp.array([3, 255]))
     assert state.data.dtype == jnp.uint8
     np.testing.assert_array_equal(state.data[:2], [3, 255])
 
 
 def test_more_items_than_slots_are_refused():
     with pytest.raises(ValueError, match="5 items do not fit 4 slots"):
-        replay.add(empty(4), items(0, 5))
+        add(empty(4), items(0, 5))
+
+
+@pytest.mark.parametrize("slots", [5, 8])
+def test_what_is_not_kept_takes_no_slot(slots):
+    """Against the ring to which only the kept were added."""
+    rng, state, oracle = np.random.default_rng(slots), empty(slots), empty(slots)
+    for start in range(0, 60, 5):
+        kept = rng.random(5) < 0.6
+        state = jax.jit(replay.add)(state, items(start, 5), jnp.asarray(kept))
+        for i in np.flatnonzero(kept):
+            oracle = add(oracle, items(start + i, 1))
+        oracles.assert_equal(state, oracle)
 
 
 @pytest.mark.parametrize("added", [5, 20, 33])  # partly filled, full, wrapped

@@ -77,6 +77,34 @@ def test_stored_transitions_are_the_environments(truncation):
     assert kinds == {(False, False), (True, False), (False, True), (True, True)}
 
 
+class Breaking(oracles.RandomLength):
+    """Observes what is not a number one step before the end, or is rewarded by it at the end."""
+
+    def step(self, state, action):
+        after = super().step(state, action)
+        left = after.obs[0]
+        broken = jnp.where((left == 1) & (after.obs[1] > 0.5), jnp.nan, 0.0)
+        reward = jnp.where(left == 0, jnp.inf, after.reward)
+        return after.replace(obs=after.obs + broken, reward=reward)
+
+
+@pytest.mark.parametrize("algorithm", ["mapg", "a3c"])
+def test_what_is_not_finite_ends_its_episode_and_is_not_learnt_from(algorithm):
+    changes = {"noise": "none"} if algorithm == "mapg" else {"rollout_steps": 5}
+    config = preset("smoke", algorithm=algorithm, environments=4, hidden=(4, 4), **changes)
+    trainer = oracles.make_trainer(Breaking(), 20, config)
+    state = run(trainer, 40)
+    assert all(np.isfinite(x).all() for x in jax.tree.leaves(state.agent.learner))
+    assert int(state.diverged_at) == -1
+    episodes, broken = int(state.totals.episodes), int(state.totals.broken)
+    assert episodes == broken > 20  # no episode ends otherwise
+    if state.replay is not None:
+        assert int(state.replay.size) == int(state.env_steps) - broken
+        rows = oracles.stored(state)
+        assert all(np.isfinite(x).all() for x in jax.tree.leaves(rows))
+        assert not rows.terminal.any()
+
+
 def test_actions_are_the_drawn_heads_proposals():
     """Before the first update the actor is the initial one, so all proposals can be known."""
     trainer = untrained()
