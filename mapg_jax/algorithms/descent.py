@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
+from mapg_jax.algorithms import shards
+
 Params = Any
 
 
@@ -54,7 +56,7 @@ def minimize(
     state: optax.OptState,
     learning_rate: Float[Array, ""],
 ) -> Descended:
-    """One step of the optimiser down the gradient of a loss.
+    """One step of the optimiser down the gradient of a loss, averaged over shards.
 
     Args:
       loss: of the parameters, and what else is told of it.
@@ -64,6 +66,7 @@ def minimize(
       learning_rate: of the step.
     """
     (value, aux), gradient = jax.value_and_grad(loss, has_aux=True)(params)
+    gradient = shards.mean(gradient)
     params, state = descend(optimizer, params, gradient, state, learning_rate)
     return Descended(params, state, value, aux, optax.tree.norm(gradient))
 

@@ -5,6 +5,8 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float
 
+from mapg_jax.algorithms import shards
+
 VARIANCE_FLOOR = 1e-2  # of a dimension, as in the code the paper ran on
 
 
@@ -23,20 +25,20 @@ def init(observation_size: int) -> NormalizerState:
 
 
 def update(state: NormalizerState, batch: Float[Array, "N D"]) -> NormalizerState:
-    r"""The statistics with a batch added (Chan, Golub and LeVeque 1983).
+    r"""The statistics with a batch added, of all shards (Chan, Golub and LeVeque 1983).
 
     $\delta = \bar x_B - \bar x,\; \bar x' = \bar x + \delta \frac{n_B}{n + n_B},\;
     S' = S + S_B + \delta^2 \frac{n\,n_B}{n + n_B}$
     """
-    n = batch.shape[0]
+    n = shards.total(batch.shape[0])
     count = state.count + n
-    batch_mean = batch.mean(0)
+    batch_mean = shards.mean(batch.mean(0))
     delta = batch_mean - state.mean
     return NormalizerState(
         count=count,
         mean=state.mean + delta * n / count,
         deviations=state.deviations
-        + jnp.square(batch - batch_mean[None]).sum(0)
+        + shards.total(jnp.square(batch - batch_mean[None]).sum(0))
         + jnp.square(delta) * state.count * n / count,
     )
 

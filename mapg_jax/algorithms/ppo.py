@@ -33,7 +33,8 @@ class PpoOptions(OnPolicyOptions):
 
     def __post_init__(self):
         super().__post_init__()
-        steps = self.rollout_steps * getattr(self, "environments", self.minibatches)
+        environments = getattr(self, "environments", self.minibatches)
+        steps = self.rollout_steps * environments // getattr(self, "shards", 1)
         if steps % self.minibatches:
             raise ValueError(
                 f"a rollout of {steps} steps, {self.rollout_steps} of each environment, cannot be "

@@ -14,6 +14,7 @@ from flax import struct
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from mapg_jax.algorithms import heads as heads_
+from mapg_jax.algorithms import shards
 from mapg_jax.algorithms.base import Rollout
 from mapg_jax.algorithms.descent import Params
 from mapg_jax.algorithms.on_policy import Batch, LearnerState, OnPolicy, OnPolicyOptions
@@ -125,7 +126,7 @@ class Trpo(OnPolicy):
 
         def fisher(x: Params) -> Params:
             slope = jax.grad(lambda after: self.kl(actor, after, hyper, batch))
-            product = jax.jvp(slope, (actor,), (x,))[1]
+            product = shards.mean(jax.jvp(slope, (actor,), (x,))[1])
             return jax.tree.map(lambda y, z: y + hyper.damping * z, product, x)
 
         steps = self.options.conjugate_steps
@@ -142,7 +143,8 @@ class Trpo(OnPolicy):
         def attempt(share: Float[Array, ""]) -> Step:
             moved = jax.tree.map(lambda x, dx: x + share * dx, actor, direction)
             gain = self.surrogate(moved, batch, hyper) - start
-            return Step(share, moved, gain, self.kl(actor, moved, hyper, batch))
+            kl = self.kl(actor, moved, hyper, batch)
+            return Step(share, moved, *shards.mean((gain, kl)))
 
         def bad(step: Step):
             return ~((step.gain > 0) & (step.kl <= hyper.trust_region))
@@ -170,7 +172,7 @@ class Trpo(OnPolicy):
         """
         before = learner.actor
         learner, steps = self.prepare(learner, hyper, batch)
-        gradient = jax.grad(self.surrogate)(before, steps, hyper)
+        gradient = shards.mean(jax.grad(self.surrogate)(before, steps, hyper))
         step = self.search(before, self.direction(before, gradient, hyper, steps), hyper, steps)
 
         def fit(learner: LearnerState, _):

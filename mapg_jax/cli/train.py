@@ -35,16 +35,34 @@ def parse(flags: list[str]) -> argparse.Namespace:
         type=pathlib.Path,
         help="Run folder, which must not exist or be empty; by default a free number under runs/.",
     )
+    add_devices(command)
     plugins.add_argument(command)
     fields.add(command, name, [algorithm], several=False)
     fields.refuse_foreign_flags(command, flags, [algorithm])
     return command.parse(flags)
 
 
+def add_devices(command: argparse.ArgumentParser) -> None:
+    """The flag that lays shards over devices."""
+    command.add_argument(
+        "--devices",
+        type=_all_or_number,
+        metavar="all|D",
+        help="Devices for the shards of the run, a number that divides them; by default all.",
+    )
+
+
+def _all_or_number(text: str) -> int | None:
+    """None is all."""
+    return None if text == "all" else int(text)
+
+
 def run(arguments: argparse.Namespace, out: TextIO) -> None:
     """Trains."""
     given = fields.given(arguments)
-    under_way = refuse_politely(lambda: begin(preset(arguments.preset, **given), arguments.out))
+    under_way = refuse_politely(
+        lambda: begin(preset(arguments.preset, **given), arguments.out, arguments.devices)
+    )
     take_to_the_end(under_way, out)
 
 

@@ -9,13 +9,18 @@ from mapg_jax.training.replay import capacity
 from mapg_jax.training.trainer import tree_bytes
 
 
-def prepare(*configs: Config) -> Lockstep:
+def prepare(*configs: Config, devices: int | None = 1) -> Lockstep:
     """The static part of a run, or of several in lockstep, refused before anything is compiled.
 
+    Args:
+      *configs: of the runs.
+      devices: for the shards of a run; None takes as many as there are that serve.
+
     Raises:
-      ValueError: if the environment cannot be made or the buffers do not fit the memory.
+      ValueError: if the environment cannot be made, the buffers do not fit the memory, or the
+        shards cannot be on so many devices.
     """
-    program = Lockstep(configs)
+    program = Lockstep(configs, devices)
     needed, available = program.bytes, available_bytes()
     if needed > available:
         together = f"{len(configs)} runs in lockstep need" if len(configs) > 1 else "the run needs"

@@ -167,6 +167,7 @@ class Run:
         state, self._state = self._state, None  # its buffers are donated to the first chunk
         if state is None:
             state = self.program.init()
+        state = self.trainer.layout.place(state)
         run = self._compiled(state, watch)
         while not self.finished and not watch.stop:
             done = self.turn % self._turns_per_evaluation

@@ -35,6 +35,7 @@ def train(
     out: str | os.PathLike | None = None,
     callbacks: Sequence[Callback] = (),
     *,
+    devices: int | None = None,
     progress: bool = False,
 ) -> Trained:
     """Trains a run to its end, saves it, and scores its last policy.
@@ -45,13 +46,14 @@ def train(
         `runs/`.
       callbacks: called with an `Event` at every evaluation and checkpoint; one that returns True
         stops the run, which is saved and scored where it is.
+      devices: D, which divides the run's shards; by default as many as there are that serve.
       progress: whether to show it on standard error.
 
     Raises:
       ValueError: if the run cannot be made, before anything is written.
       DivergedError: at the first metric or parameter that is not finite.
     """
-    run = begin(config, out)
+    run = begin(config, out, devices)
     run.go(callbacks, progress=progress)
     return _finished(run)
 
@@ -61,6 +63,7 @@ def resume(
     steps: int | None = None,
     callbacks: Sequence[Callback] = (),
     *,
+    devices: int | None = None,
     progress: bool = False,
 ) -> Trained:
     """Goes on with a run, as if it had not stopped; see `train`.
@@ -69,6 +72,7 @@ def resume(
       path: the run folder.
       steps: a new total of environment steps; by default that of the run.
       callbacks: as of `train`.
+      devices: as of `train`, whatever they were before.
       progress: whether to show it on standard error.
 
     Raises:
@@ -77,24 +81,24 @@ def resume(
       BlockingIOError: if another process trains it.
       DivergedError: at the first metric or parameter that is not finite.
     """
-    run = take_up(path, steps)
+    run = take_up(path, steps, devices)
     if not run.finished:
         run.go(callbacks, progress=progress)
     return _finished(run)
 
 
-def begin(config: Config, out: str | os.PathLike | None = None) -> Run:
-    """A new run in a new folder, nothing compiled yet.
+def begin(config: Config, out: str | os.PathLike | None = None, devices: int | None = None) -> Run:
+    """A new run in a new folder, nothing compiled yet; see `train`.
 
     Raises:
       ValueError: if the run cannot be made, before anything is written.
     """
-    program = prepare(config)
+    program = prepare(config, devices=devices)
     return Run(program, [RunFolder.create(out, config)])
 
 
-def take_up(path: str | os.PathLike, steps: int | None = None) -> Run:
-    """A run from its newest checkpoint, or from the beginning where there is none.
+def take_up(path: str | os.PathLike, steps: int | None = None, devices: int | None = None) -> Run:
+    """A run from its newest checkpoint, or from the beginning where there is none; see `resume`.
 
     Raises:
       ValueError: if the folder holds no run, it is past those steps, it cannot be made, or its
@@ -105,7 +109,7 @@ def take_up(path: str | os.PathLike, steps: int | None = None) -> Run:
     lock = folder.lock()  # held until the run has ended: nobody else trains it in between
     if steps is not None:
         folder = RunFolder(folder.path, dataclasses.replace(folder.config, steps=steps))
-    run = Run(prepare(folder.config), [folder], [lock])
+    run = Run(prepare(folder.config, devices=devices), [folder], [lock])
     run.restore()
     if run.turn > run.last_turn:
         raise ValueError(

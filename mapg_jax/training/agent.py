@@ -7,7 +7,7 @@ import jax
 from flax import struct
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from mapg_jax.algorithms import normalization, registry
+from mapg_jax.algorithms import normalization, registry, shards
 from mapg_jax.algorithms.base import Algorithm, Explored, Rollout, Transition
 from mapg_jax.algorithms.normalization import NormalizerState
 from mapg_jax.training.config import Config
@@ -95,9 +95,9 @@ class Agent:
     def learn(
         self, state: AgentState, batch: Transition | Rollout, key: PRNGKeyArray
     ) -> tuple[AgentState, Any]:
-        """One update on prepared transitions."""
+        """One update on prepared transitions; what it reports is averaged over shards."""
         learner, metrics = self.algorithm.update(state.learner, state.hyper, batch, key)
-        return state.replace(learner=learner), metrics
+        return state.replace(learner=learner), shards.mean(metrics)
 
 
 def make_agent(config: Config, action_size: int, padded_heads: int | None = None) -> Agent:

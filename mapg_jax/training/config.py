@@ -47,6 +47,12 @@ class Config(Options):
     environments: int = option(
         16, "N, environments stepped side by side; the paper had one.", at_least=1
     )
+    shards: int = option(
+        1,
+        "S, parts of the run that can be on devices of their own, each with its environments, "
+        "replay and share of the batch; S divides all three.",
+        at_least=1,
+    )
 
     normalize: bool = option(
         True, "Normalise observations by their running mean and standard deviation."
@@ -103,6 +109,16 @@ class Config(Options):
                 f"{self.algorithm}; make it by Config(algorithm={self.algorithm!r}, …)"
             )
         self.parsed_env_options()
+        self._refuse_to_divide("environments")
+
+    def _refuse_to_divide(self, *names: str) -> None:
+        """Raises ValueError if one of those numbers is not the same in all shards."""
+        for name in names:
+            if (value := getattr(self, name)) % self.shards:
+                nearest = max(1, round(value / self.shards)) * self.shards
+                raise ValueError(
+                    f"{self.shards} shards do not divide {name} = {value:,}; {nearest:,} is near"
+                )
 
     def parsed_env_options(self) -> dict[str, Any]:
         """`env_options` as keyword arguments of `envs.make`."""
@@ -157,6 +173,7 @@ class ReplayConfig(Config):
             raise ValueError(
                 f"{self.environments} environments do not fit a replay of {self.replay_size}"
             )
+        self._refuse_to_divide("batch_size", "replay_size")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

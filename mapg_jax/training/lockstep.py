@@ -38,7 +38,7 @@ class Lockstep:
     States have leaves [K, ...], or those of a plain run where K = 1.
     """
 
-    def __init__(self, configs: Sequence[Config]):
+    def __init__(self, configs: Sequence[Config], devices: int | None = 1):
         if len({program_key(config) for config in configs}) != 1:
             raise ValueError("runs in lockstep may differ in traced numbers alone")
         self.configs = tuple(configs)
@@ -49,7 +49,7 @@ class Lockstep:
             largest = dataclasses.replace(
                 largest, **{name: getattr(type(largest), name) for name in numbers}
             )
-        self.trainer: Trainer = make_trainer(largest)
+        self.trainer: Trainer = make_trainer(largest, devices)
 
     @property
     def bytes(self) -> int:

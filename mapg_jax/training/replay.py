@@ -61,6 +61,7 @@ def sample(state: ReplayState, key: PRNGKeyArray, n: int) -> Items:
 
 
 def trim(state: ReplayState) -> ReplayState:
-    """The ring without its empty slots, on the host."""
-    size = int(state.size)
-    return state.replace(data=jax.tree.map(lambda x: np.asarray(x)[:size], state.data))
+    """The ring, or one a shard [S, ...], without slots that are empty in all, on the host."""
+    size, shards = np.max(state.size), np.ndim(state.size)
+    filled = (*(slice(None),) * shards, slice(int(size)))
+    return state.replace(data=jax.tree.map(lambda x: np.asarray(x)[filled], state.data))

@@ -11,9 +11,11 @@ from jaxtyping import Array, Bool, Int, PRNGKeyArray
 
 import envs
 from envs.base import Episodes
+from mapg_jax.algorithms import shards
 from mapg_jax.algorithms.base import Transition
 from mapg_jax.training.agent import Agent, AgentState, hyperparameters, make_agent
 from mapg_jax.training.config import Config
+from mapg_jax.training.layout import Layout, most_devices
 from mapg_jax.training.state import Totals, TrainState
 from mapg_jax.training.turns import TURNS, Turn
 
@@ -43,6 +45,7 @@ class Trainer:
     config: Config
     env: Episodes
     agent: Agent
+    layout: Layout = Layout()
 
     @functools.cached_property
     def turn(self) -> Turn:
@@ -55,7 +58,7 @@ class Trainer:
         return self.turn.steps
 
     def init(self, seed: int | Int[Array, ""]) -> TrainState:
-        """The state before the first step."""
+        """The state before the first step; of several shards, parts of it have an axis [S, ...]."""
         n = self.config.environments
         keys = run_keys(seed)
         agent = self.agent.init(keys.agent, hyperparameters(self.config), self.env.observation_size)
@@ -64,17 +67,22 @@ class Trainer:
         metrics = self.agent.algorithm.Metrics
         state = TrainState(
             agent=agent,
-            explorer=self.agent.algorithm.explorer(n),
+            explorer=self._by_shard(self.agent.algorithm.explorer(n)),
             replay=None,
             update_credit=None,
-            env=env,
-            running_return=jnp.zeros(n),
+            env=self._by_shard(env),
+            running_return=self._by_shard(jnp.zeros(n)),
             key=keys.loop,
             env_steps=jnp.zeros((), jnp.int32),
             diverged_at=jnp.full((), -1, jnp.int32),
             totals=Totals(zero, metrics(*(zero,) * len(metrics._fields)), zero, zero, zero, zero),
         )
-        return self.turn.begin(state)
+        return self.layout.over_shards(self.turn.begin)(state)
+
+    def _by_shard(self, tree: Any) -> Any:
+        """Leaves [N, ...] as [S, N / S, ...]; of one shard as they are."""
+        s = self.layout.shards
+        return tree if s == 1 else jax.tree.map(lambda x: x.reshape(s, -1, *x.shape[1:]), tree)
 
     def step(
         self, state: TrainState, key: PRNGKeyArray
@@ -95,11 +103,15 @@ class Trainer:
         )
         fresh = self.agent.algorithm.explorer(len(ended))
         state = state.replace(explorer=_where(ended, fresh, explored.explorer))
-        return _counted(state, env), transition, ended
+        return _counted(state, env, self.config.environments), transition, ended
 
     def run(self, state: TrainState, turns: Int[Array, ""]) -> TrainState:
         """Any number of turns; where the host cuts them changes nothing."""
-        return jax.lax.fori_loop(0, turns, lambda _, state: self.turn(state), state)
+
+        def of_shard(state: TrainState, turns: Int[Array, ""]) -> TrainState:
+            return jax.lax.fori_loop(0, turns, lambda _, state: self.turn(state), state)
+
+        return self.layout.over_shards(of_shard)(state, turns)
 
     @functools.cached_property
     def jitted_init(self):
@@ -125,10 +137,27 @@ def tree_bytes(shapes: Any) -> int:
     return sum(math.prod(x.shape) * x.dtype.itemsize for x in jax.tree.leaves(shapes))
 
 
-def make_trainer(config: Config, padded_heads: int | None = None) -> Trainer:
-    """The environment, the agent and the loop of a run."""
+def make_trainer(config: Config, devices: int | None = 1) -> Trainer:
+    """The environment, the agent and the loop of a run.
+
+    Args:
+      config: of the run.
+      devices: D, for its shards; None takes as many as there are that serve.
+
+    Raises:
+      ValueError: if the environment cannot be made, or the shards cannot be on so many devices.
+    """
     env = envs.with_episodes(config.make_env(), config.episode_steps())
-    return Trainer(config, env, make_agent(config, env.action_size, padded_heads))
+    on_one = env.backend == "native"  # whose calls of the host are in no order among devices
+    if devices is None:
+        devices = 1 if on_one else most_devices(config.shards)
+    if on_one and devices > 1:
+        raise ValueError(
+            f"{config.env} on MuJoCo's C engine runs on one device; choose --devices 1 or "
+            "--engine mjx"
+        )
+    agent = make_agent(config, env.action_size)
+    return Trainer(config, env, agent, Layout(config.shards, devices))
 
 
 def agent_shapes(config: Config, agent: Agent, observation_size: int) -> AgentState:
@@ -149,20 +178,22 @@ def _where(ended: Bool[Array, "N"], fresh: Any, kept: Any) -> Any:
     return jax.tree.map(choose, fresh, kept)
 
 
-def _counted(state: TrainState, env: envs.State) -> TrainState:
-    """`state` after a step of its N environments, the episodes that ended counted."""
+def _counted(state: TrainState, env: envs.State, environments: int) -> TrainState:
+    """`state` after a step of all environments, the episodes that ended counted."""
     ended = env.done > 0.5
     running_return = state.running_return + env.reward
     steps_ended = jnp.where(ended, state.env.info["steps"] + 1, 0)
+    counts = (ended, ended * running_return, steps_ended, env.info["broken"])
+    episodes, returns, lengths, broken = shards.total(tuple(x.sum() for x in counts))
     totals = state.totals._replace(
-        episodes=state.totals.episodes + ended.sum(),
-        episode_return=state.totals.episode_return + (ended * running_return).sum(),
-        episode_length=state.totals.episode_length + steps_ended.sum(),
-        broken=state.totals.broken + env.info["broken"].sum(),
+        episodes=state.totals.episodes + episodes,
+        episode_return=state.totals.episode_return + returns,
+        episode_length=state.totals.episode_length + lengths,
+        broken=state.totals.broken + broken,
     )
     return state.replace(
         env=env,
         running_return=jnp.where(ended, 0.0, running_return),
-        env_steps=state.env_steps + len(ended),
+        env_steps=state.env_steps + environments,
         totals=totals,
     )

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, PRNGKeyArray
 
+from mapg_jax.algorithms import shards
 from mapg_jax.algorithms.base import Experience, Rollout, Transition
 from mapg_jax.training import replay
 from mapg_jax.training.agent import Agent
@@ -81,12 +82,13 @@ class ReplayTurn:
         )
         item = jax.tree.map(lambda x: jnp.zeros(x.shape[1:], x.dtype), transition)
         return state.replace(
-            replay=replay.init(item, self.config.replay_size),
+            replay=replay.init(item, self.config.replay_size // self.config.shards),
             update_credit=jnp.zeros((), jnp.int32),
         )
 
     def __call__(self, state: TrainState) -> TrainState:
-        key, collect_key, sample_key, update_key = jax.random.split(state.key, 4)
+        key, *keys = jax.random.split(state.key, 4)
+        collect_key, sample_key, update_key = map(shards.own, keys)
         state = self.collect(state.replace(key=key), collect_key)
         return self.learn(state, sample_key, update_key)
 
@@ -106,7 +108,7 @@ class ReplayTurn:
         credit = state.update_credit + learning * self.config.environments * earned
         updates = credit // cost
 
-        size = self.config.batch_size
+        size = self.config.batch_size // self.config.shards
         batches = replay.sample(state.replay, sample_key, self.most_updates * size)
         batches = self.agent.prepare(state.agent, batches)
         batches = jax.tree.map(lambda x: x.reshape(-1, size, *x.shape[1:]), batches)
@@ -148,7 +150,8 @@ class RolloutTurn:
         return state.replace(agent=self.agent.see(state.agent, jnp.asarray(state.env.obs)))
 
     def __call__(self, state: TrainState) -> TrainState:
-        key, collect_key, update_key = jax.random.split(state.key, 3)
+        key, *keys = jax.random.split(state.key, 3)
+        collect_key, update_key = map(shards.own, keys)
         state, rollout = self.collect(state.replace(key=key), collect_key)
         return self.learn(state, rollout, update_key)
 
