@@ -3,19 +3,22 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: demo test test-slow test-mjx torture check lint types results bench bench-peers bench-compare clean
+.PHONY: demo test test-slow test-mjx test-cluster torture check lint types results bench bench-peers bench-compare clean
 
 demo: .venv/ready  ## train MAPG (M = 10) on Pendulum and score it over 100 episodes
 	$(BIN)/mapg train --env pendulum --heads 10 --steps 40000 --evaluate-every 2000
 
 test: .venv/ready  ## the tests, under 12 minutes on 2 cores
-	$(PYTEST) -n 2 --dist loadfile -m "not mjx and not slow"
+	$(PYTEST) -n 2 --dist loadfile -m "not mjx and not slow and not cluster"
 
 test-slow: .venv/ready  ## lockstep of all algorithms, and training by Brax, about 5 minutes on 2 cores
 	$(PYTEST) -n 2 -m "slow and not mjx"
 
 test-mjx: .venv/ready  ## the tests that compile every task for MJX, about 15 minutes on 2 cores
 	$(PYTEST) -m mjx
+
+test-cluster: .venv/ready  ## several hosts that make one run, and sweeps by Slurm and Ray
+	$(PYTEST) -m cluster
 
 torture: .venv/ready  ## breaks runs on purpose, and counts what is lost; goes on from the last time
 	$(BIN)/python -m benchmarks.torture

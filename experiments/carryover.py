@@ -24,7 +24,6 @@ from mapg_jax.training.config import Config
 NAMED = ("naf", "trpo")
 """By the paper; C10 is about them."""
 ALGORITHMS = (*NAMED, "ppo", "td3", "sac")
-TASKS = ("pendulum", "hopper", "halfcheetah", "walker2d")
 OF_NAF = ("pendulum", "hopper")
 MARGINAL: Mapping[str, Any] = {"gradient": "marginal"}
 """The exact mixture's ratio, which is shown beside the head's own and judges nothing."""
@@ -50,7 +49,7 @@ def beside(plan: Plan) -> dict[str, Comparison]:
 def _comparison(plan: Plan, name: str, changes: Mapping[str, Any]) -> Comparison:
     arm = {"algorithm": name, "steps": steps(plan)}
     text = f"{name.upper()} with M = 10 beats itself with M = 1"
-    envs = OF_NAF if name == "naf" else TASKS
+    envs = tuple(env for env in plan.carried if name != "naf" or env in OF_NAF)
     ours, theirs = {**arm, **MAPG, **changes}, {**arm, **DDPG}
     return Comparison((f"C10 {name.upper()}", ""), text, envs, ours, theirs)
 
@@ -106,10 +105,10 @@ def score_table(plan: Plan, everything: Mapping[str, Comparison]) -> Table:
                 scores.summary(scores.means(plan, plan.over_seeds(env, **changes)))
                 if env in comparison.envs
                 else ""
-                for env in TASKS
+                for env in plan.carried
             ]
             lines.append([name, label, *cells])
-    return Table(("algorithm", "", *TASKS), lines)
+    return Table(("algorithm", "", *plan.carried), lines)
 
 
 def ledger(plan: Plan) -> list[Verdict]:
@@ -126,7 +125,9 @@ def ledger(plan: Plan) -> list[Verdict]:
 def test(plan: Plan, comparison: Comparison) -> Test | None:
     """Over the tasks together; None while one lacks an arm."""
     pairs = comparison.pairs(plan)
-    return van_elteren(list(pairs.values())) if set(pairs) == set(comparison.envs) else None
+    return (
+        van_elteren(list(pairs.values())) if pairs and len(pairs) == len(comparison.envs) else None
+    )
 
 
 def _judge(plan: Plan, comparison: Comparison, found: Test | None, p: float) -> Verdict:

@@ -60,6 +60,8 @@ class Plan(NamedTuple):
     """Tasks on which DDPG and M = 10 are compared with and without noise."""
     ruled: tuple[str, ...] = ("halfcheetah", "hopper")
     """Tasks on which the rules of the heads are compared."""
+    carried: tuple[str, ...] = ("pendulum", "hopper", "halfcheetah", "walker2d")
+    """Tasks on which other algorithms are compared with themselves."""
     timing: tuple[int, float] = TIMING["paper"]
     preset: Preset = "paper"
     flags: str = ""
@@ -149,6 +151,8 @@ def name(config: Config, plan: Plan) -> str:
     parts = [config.env, config.slug, f"m{config.heads}"]
     if config.steps != plan.base.steps:
         parts.append(str(config.steps))
+    if config.env_options != DRIVING["env_options"]:  # which all of driving's have
+        parts += config.env_options
     for field in sorted(changed(config, plan) - {"env_options", "time_limit"}):
         value = getattr(config, field)
         parts.append(value if isinstance(value, str) else f"{field}{value}")

@@ -9,6 +9,7 @@ import pytest
 ROOT = pathlib.Path(__file__).parent.parent
 ROOMS = {
     "algorithms": (
+        "shards",
         "options",
         "base",
         "heads",
@@ -39,6 +40,7 @@ ROOMS = {
         "replay",
         "agent",
         "state",
+        "layout",
         "turns",
         "evaluation",
         "trainer",
@@ -47,6 +49,7 @@ ROOMS = {
     ),
     "runs": (
         "csv_file",
+        "hosts",
         "locking",
         "signals",
         "host",
@@ -67,7 +70,16 @@ ROOMS = {
         "train",
     ),
     "sweeps": ("grid", "groups", "forecast", "folder", "worker", "pool", "table", "sweep"),
-    "reports": ("results", "inference", "stratified", "document", "tables", "plots", "report"),
+    "reports": (
+        "results",
+        "results_csv",
+        "inference",
+        "stratified",
+        "document",
+        "tables",
+        "plots",
+        "report",
+    ),
     "cli": (
         "console",
         "parser",

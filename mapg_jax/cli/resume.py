@@ -8,7 +8,7 @@ from typing import TextIO
 from mapg_jax.cli import sweep
 from mapg_jax.cli.console import complain, refuse_politely
 from mapg_jax.cli.main import parser
-from mapg_jax.cli.train import add_devices, take_to_the_end
+from mapg_jax.cli.train import add_devices, join_hosts, take_to_the_end
 from mapg_jax.runs.train import take_up
 from mapg_jax.sweeps.folder import SweepFolder
 from mapg_jax.training import plugins
@@ -38,6 +38,7 @@ def run(arguments: argparse.Namespace, out: TextIO) -> None:
             sys.exit(complain(f"{path} is a sweep; --steps trains a run of it further", 2))
         sweep.go_on(path, out)
         return
+    join_hosts(arguments)
     under_way = refuse_politely(lambda: take_up(path, steps, arguments.devices))
     if under_way.finished:
         print(

@@ -9,6 +9,7 @@ from mapg_jax.cli import fields
 from mapg_jax.cli.console import complain, refuse_politely
 from mapg_jax.cli.main import parser
 from mapg_jax.cli.score import print_score
+from mapg_jax.runs import hosts
 from mapg_jax.runs.finishing import finish
 from mapg_jax.runs.run import Run
 from mapg_jax.runs.signals import caught_signals
@@ -50,6 +51,22 @@ def add_devices(command: argparse.ArgumentParser) -> None:
         metavar="all|D",
         help="Devices for the shards of the run, a number that divides them; by default all.",
     )
+    command.add_argument(
+        "--coordinator",
+        metavar="HOST:PORT",
+        help="Of the first of several hosts, which make one run; or slurm, whose job says all.",
+    )
+    command.add_argument("--hosts", type=int, help="How many processes make the run.")
+    command.add_argument("--host", type=int, help="Which of them this is, from 0.")
+
+
+def join_hosts(arguments: argparse.Namespace) -> None:
+    """Meets the other processes of the run, if there are any."""
+    asked = arguments.coordinator, arguments.hosts, arguments.host
+    if asked == (None, None, None):
+        return
+    address = None if arguments.coordinator == "slurm" else arguments.coordinator
+    refuse_politely(lambda: hosts.join(address, arguments.hosts, arguments.host))
 
 
 def _all_or_number(text: str) -> int | None:
@@ -59,6 +76,7 @@ def _all_or_number(text: str) -> int | None:
 
 def run(arguments: argparse.Namespace, out: TextIO) -> None:
     """Trains."""
+    join_hosts(arguments)
     given = fields.given(arguments)
     under_way = refuse_politely(
         lambda: begin(preset(arguments.preset, **given), arguments.out, arguments.devices)
@@ -72,11 +90,15 @@ def take_to_the_end(run: Run, out: TextIO) -> None:
         with caught_signals() as signals:
             run.go(signals=signals, progress=True)
     folder = run.folder
+    if not hosts.is_first():
+        hosts.wait("scored")
+        return
     print(f"scoring the last policy: {folder.config.final_episodes} episodes", file=sys.stderr)
     try:
         score = finish(folder)
     except KeyboardInterrupt:
         sys.exit(complain(f"interrupted while scoring; go on with: mapg resume {folder.path}", 130))
+    hosts.wait("scored")
     print_score(score, out)
     print(f"run folder:     {folder.path}", file=out)
     print(f"learning curve: {folder.curve}", file=out)

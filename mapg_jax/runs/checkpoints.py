@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
+from mapg_jax.runs import hosts
 from mapg_jax.training import replay
 from mapg_jax.training.agent import AgentState
 from mapg_jax.training.state import TrainState
@@ -70,10 +71,22 @@ class Checkpoints:
           kept: how many.
           config: the digest of the run's configuration, which is sealed with each of them.
         """
-        options = ocp.CheckpointManagerOptions(
-            max_to_keep=kept, enable_async_checkpointing=False, create=kept is not None
+        # Of several hosts each reads for itself, and one writes: none waits for another.
+        ours = ocp.options.MultiprocessingOptions(
+            primary_host=jax.process_index(),
+            active_processes={jax.process_index()},
+            barrier_sync_key_prefix=f"host_{jax.process_index()}",
         )
-        self.path, self._config = path, config
+        several = jax.process_count() > 1
+        options = ocp.CheckpointManagerOptions(
+            max_to_keep=kept,
+            enable_async_checkpointing=False,
+            create=False,
+            multiprocessing_options=ours if several else ocp.options.MultiprocessingOptions(),
+        )
+        if kept is not None:
+            path.mkdir(parents=True, exist_ok=True)
+        self.path, self._config, self._options = path, config, options
         self._manager = ocp.CheckpointManager(path.absolute(), options=options)
 
     def steps(self) -> list[int]:
@@ -137,7 +150,10 @@ class Checkpoints:
         number, place = 1, self.path / f"{step}.damaged"
         while place.exists():
             number, place = number + 1, self.path / f"{step}.damaged-{number}"
-        (self.path / str(step)).rename(place)
+        hosts.wait("damage found")
+        if hosts.is_first():
+            (self.path / str(step)).rename(place)
+        hosts.wait("damage set aside")
         self._manager.reload()
         LOG.warning("%s; it is set aside as %s", error, place.name)
 
@@ -223,14 +239,17 @@ class Checkpoints:
             )
         for name, leaf in expected.items():
             shape, ours = tuple(digests[name]["shape"]), leaf.shape
-            if name.startswith(".replay.data") and shape[:1] <= ours[:1]:
-                shape, ours = shape[1:], ours[1:]  # only filled slots are written
+            if name.startswith(".replay.data"):  # only filled slots are written
+                slots = len(expected[".replay.size"].shape)  # their axis, behind that of shards
+                if shape[slots : slots + 1] <= ours[slots : slots + 1]:
+                    shape = (*shape[:slots], *ours[slots : slots + 1], *shape[slots + 1 :])
             if shape != ours:
                 raise ValueError(
                     f"{self.path.parent}: the checkpoint holds {shape} where {ours} is expected"
                 )
         try:
-            with ocp.StandardCheckpointer() as checkpointer:
+            ours = self._options.multiprocessing_options
+            with ocp.StandardCheckpointer(multiprocessing_options=ours) as checkpointer:
                 path = (self.path / str(step) / part).absolute()
                 found = checkpointer.metadata(path).item_metadata.tree
             sizes = {name: [list(array.shape), str(array.dtype)] for name, array in found.items()}
@@ -291,6 +310,6 @@ def _as_leaf(stored: np.ndarray | None, shape: jax.ShapeDtypeStruct) -> jax.Arra
     if stored is None or stored.shape != shape.shape:
         whole = np.zeros(shape.shape, shape.dtype)
         if stored is not None:
-            whole[: len(stored)] = stored
+            whole[tuple(map(slice, stored.shape))] = stored
         stored = whole
     return jnp.asarray(stored, shape.dtype)

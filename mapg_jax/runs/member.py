@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mapg_jax.runs import hosts
 from mapg_jax.runs.checkpoints import Checkpoints, DamagedError
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.metrics import MetricsFile, cut_metrics, rows_digest
@@ -30,7 +31,9 @@ class Member:
     def __init__(self, folder: RunFolder):
         self.folder, self.config = folder, folder.config
         self.checkpoints = Checkpoints(
-            folder.checkpoints, folder.config.checkpoints_kept, folder.digest
+            folder.checkpoints,
+            folder.config.checkpoints_kept if hosts.is_first() else None,
+            folder.digest,
         )
         self.seconds_before = 0.0  # of earlier processes
         self.failure: DivergedError | None = None

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from mapg_jax.runs import hosts
 from mapg_jax.runs.checkpoints import DamagedError
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.host import this_host
@@ -146,7 +147,8 @@ class Run:
         """
         with contextlib.ExitStack() as stack:
             host = this_host(self.trainer.env.backend)
-            working = [self.members[k] for k in self._healthy()]
+            ours = hosts.is_first()  # who writes
+            working = [self.members[k] for k in self._healthy() if ours]
             for lock in self._locks or [member.folder.lock() for member in working]:
                 stack.enter_context(lock)
             for member in working:
@@ -158,7 +160,7 @@ class Run:
                 for member in working
             }
             bar = stack.enter_context(
-                Progress(self.last_turn * self.trainer.steps_per_turn, progress)
+                Progress(self.last_turn * self.trainer.steps_per_turn, progress and ours)
             )
             command = f"mapg resume {self.members[0].folder.path}"
             self._loop(_Watch(metrics, bar, callbacks, signals, command))
@@ -169,10 +171,11 @@ class Run:
             state = self.program.init()
         state = self.trainer.layout.place(state)
         run = self._compiled(state, watch)
-        while not self.finished and not watch.stop:
+        stop = False
+        while not self.finished and not stop:
             done = self.turn % self._turns_per_evaluation
             due = min(self.turn + self._turns_per_evaluation - done, self.last_turn)
-            turns = min(watch.chunk.turns_ahead(), due - self.turn)
+            turns = int(hosts.of_first(min(watch.chunk.turns_ahead(), due - self.turn)))
             begun = time.monotonic()
             state = run(state, turns)
             self.turn += turns
@@ -181,8 +184,10 @@ class Run:
             if self.turn == due:
                 self._evaluate(state, watch)
                 totals = jax.tree.map(jnp.zeros_like, state.totals)
-                state = state.replace(totals=totals)
-            if self.finished or watch.stop or watch.save_due(self.config.checkpoint_seconds):
+                state = self.trainer.layout.place(state.replace(totals=totals))
+            stop = watch.agreed_to_stop()
+            due_to_save = hosts.of_first(watch.save_due(self.config.checkpoint_seconds))
+            if self.finished or stop or due_to_save:
                 self._save(state, watch)
         watch.obey()
 
@@ -213,16 +218,19 @@ class Run:
         rows = self._rows(state, rate, watch.seconds())
         for k, row in rows.items():
             path = self.members[k].folder.path
-            watch.metrics[path].write(row)
-            watch.call(Event("evaluation", path, self.env_steps, row))
+            if hosts.is_first():
+                watch.metrics[path].write(row)
+                watch.call(Event("evaluation", path, self.env_steps, row))
         watch.evaluated(next(iter(rows.values())), (self.last_turn - self.turn) / rate)
 
     def _save(self, state: Any, watch: "_Watch") -> None:
         """A checkpoint of each healthy run."""
-        for k in self._healthy():
+        state = hosts.gathered(state)
+        for k in self._healthy() if hosts.is_first() else ():
             member = self.members[k]
             member.save(self.program.plain_state(state, k), watch.seconds())
             watch.call(Event("checkpoint", member.folder.path, self.env_steps, {}))
+        hosts.wait("saved")
         watch.saved = time.monotonic()
 
     def _healthy(self) -> list[int]:
@@ -232,7 +240,8 @@ class Run:
 
     def _rows(self, state: Any, rate: float, seconds: float) -> dict[int, dict]:
         keys = self.program.evaluation_keys(self.env_steps)
-        played = jax.device_get(self.program.jitted_evaluation(state.agent, keys))
+        agent = self.trainer.layout.fetched(state.agent)
+        played = jax.device_get(self.program.jitted_evaluation(agent, keys))
         counters = jax.device_get((state.env_steps, state.agent.learner.updates, state.totals))
         rows = {}
         for k in self._healthy():
@@ -247,7 +256,9 @@ class Run:
             learner, diverged_at, totals = self.program.of_run(fetched, k)
             member.check_finite(learner, int(diverged_at), totals, self.env_steps)
             if member.failure:
-                member.save_for_inspection(self.program.plain_state(state, k))
+                alone = hosts.gathered(self.program.plain_state(state, k))
+                if hosts.is_first():
+                    member.save_for_inspection(alone)
         if not self._healthy():
             raise next(member.failure for member in self.members if member.failure)
 
@@ -269,10 +280,12 @@ class _Watch:
         self._learning = self._stopped = False
         self.chunk, self.interval = Pace(), Pace()
 
-    @property
-    def stop(self) -> bool:
-        """Whether a signal or a callback asks for the end."""
-        return bool(self.signals) or self._stopped
+    def agreed_to_stop(self) -> bool:
+        """Whether a signal or a callback asks for the end, on any host."""
+        number = hosts.largest(self.signals[0] if self.signals else 0)
+        if number and not self.signals:
+            self.signals = (number,)  # which another host has caught
+        return bool(self.signals) or bool(hosts.largest(self._stopped))
 
     def obey(self) -> None:
         """Raises StoppedError if a signal asks for the end."""

@@ -7,6 +7,9 @@ import pathlib
 from collections.abc import Sequence
 from typing import Any
 
+import jax
+
+from mapg_jax.runs import hosts
 from mapg_jax.runs.finishing import finish
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.host import this_host
@@ -94,7 +97,12 @@ def begin(config: Config, out: str | os.PathLike | None = None, devices: int | N
       ValueError: if the run cannot be made, before anything is written.
     """
     program = prepare(config, devices=devices)
-    return Run(program, [RunFolder.create(out, config)])
+    if out is None and jax.process_count() > 1:
+        raise ValueError("several hosts need --out, a folder that all of them see")
+    folder = hosts.by_first(
+        lambda: RunFolder.create(out, config), lambda: RunFolder.open(out or "")
+    )
+    return Run(program, [folder])
 
 
 def take_up(path: str | os.PathLike, steps: int | None = None, devices: int | None = None) -> Run:
@@ -106,10 +114,11 @@ def take_up(path: str | os.PathLike, steps: int | None = None, devices: int | No
       BlockingIOError: if another process trains it.
     """
     folder = RunFolder.open(path)
-    lock = folder.lock()  # held until the run has ended: nobody else trains it in between
+    # Held until the run has ended: nobody else trains it in between.
+    locks = hosts.by_first(lambda: [folder.lock()], lambda: [])
     if steps is not None:
         folder = RunFolder(folder.path, dataclasses.replace(folder.config, steps=steps))
-    run = Run(prepare(folder.config, devices=devices), [folder], [lock])
+    run = Run(prepare(folder.config, devices=devices), [folder], locks)
     run.restore()
     if run.turn > run.last_turn:
         raise ValueError(
@@ -119,7 +128,8 @@ def take_up(path: str | os.PathLike, steps: int | None = None, devices: int | No
     if not run.finished:
         if run.turn and (others := folder.differences(this_host(run.trainer.env.backend))):
             LOG.warning("%s was trained by %s: bits can differ", path, "; ".join(others))
-        folder.write_config()
+        if hosts.is_first():
+            folder.write_config()
     return run
 
 

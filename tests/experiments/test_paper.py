@@ -43,6 +43,7 @@ def small(folder) -> Plan:
         heads=(10,),
         studied=("pendulum",),
         ruled=("pendulum",),
+        carried=(),
         timing=(2, 0.01),
     )
 

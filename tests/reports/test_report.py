@@ -274,7 +274,7 @@ def test_the_page_is_whole_and_needs_no_other_file():
     assert "<b>" not in text
     assert text == page(blocks)
     assert markdown(blocks) == (
-        "# A < B & C\n\n1 < 2\n\n- <b>\n\n| a\\|b | <i> |\n| --- | --- |\n| 1 | & |\n\n"
+        "# A < B & C\n\n1 < 2\n\n- &lt;b>\n\n| a\\|b | &lt;i> |\n| --- | --- |\n| 1 | & |\n\n"
         '![a "picture"](boxes.png)\n\na "picture"\n'
     )
 

@@ -136,7 +136,7 @@ def test_another_machine_is_said(finished_run, tmp_path, caplog):
     assert "bits can differ" not in caplog.text
     record = json.loads((folder.path / "config.json").read_text())
     record["history"][-1]["packages"]["jax"] = "0.1"
-    record["history"][-1]["host"]["processor"] = "abacus"
+    record["history"][-1]["host"] = {"processor": "abacus"}
     write_json(folder.path / "config.json", record)
     take_up(folder.path)
     assert re.search(r"run was trained by jax 0\.1, here .*; processor abacus, here ", caplog.text)

@@ -1,0 +1,100 @@
+"""Several processes, on one machine or on many, that make one run together.
+
+All compute the same program, each on its devices, and take every decision together; the first of
+them alone writes the run folder.
+"""
+
+import os
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import jax
+import numpy as np
+
+Made = TypeVar("Made")
+
+
+def join(address: str | None, count: int | None, index: int | None) -> None:
+    """Becomes one of the processes of a run; what is None is what Slurm's environment says.
+
+    Args:
+      address: of the first process, as HOST:PORT.
+      count: of processes.
+      index: of this one, from 0.
+
+    Raises:
+      ValueError: if a number is missing and there is no cluster to ask.
+    """
+    jax.config.update("jax_cpu_collectives_implementation", "gloo")
+    if "SLURM_JOB_ID" not in os.environ and None in (address, count, index):
+        raise ValueError(
+            "this is no job of Slurm; several hosts need --coordinator HOST:PORT, --hosts N and "
+            "--host I, from 0"
+        )
+    try:
+        jax.distributed.initialize(address, count, index)
+    except (RuntimeError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise ValueError(f"the processes of this run cannot meet: {reason}") from None
+
+
+def is_first() -> bool:
+    """Whether this process writes."""
+    return jax.process_index() == 0
+
+
+def by_first(make: Callable[[], Made], find: Callable[[], Made]) -> Made:
+    """What the first process makes and the others then find; its refusal is theirs."""
+    if not is_first():
+        if not of_first(0):
+            raise ValueError("the first process of this run was refused; see what it says")
+        return find()
+    try:
+        made = make()
+    except Exception:
+        of_first(0)
+        raise
+    of_first(1)
+    return made
+
+
+def of_first(numbers: Any) -> np.ndarray:
+    """Whole numbers as the first process has them."""
+    if jax.process_count() == 1:
+        return np.asarray(numbers)
+    from jax.experimental import multihost_utils
+
+    return np.asarray(multihost_utils.broadcast_one_to_all(np.asarray(numbers)))
+
+
+def largest(number: int) -> int:
+    """The largest that any process has."""
+    if jax.process_count() == 1:
+        return number
+    from jax.experimental import multihost_utils
+
+    return int(np.max(multihost_utils.process_allgather(np.asarray(number))))
+
+
+def wait(where: str) -> None:
+    """Until all processes are here."""
+    if jax.process_count() > 1:
+        from jax.experimental import multihost_utils
+
+        multihost_utils.sync_global_devices(where)
+
+
+def gathered(tree: Any) -> Any:
+    """A tree whose arrays every process has whole."""
+    if jax.process_count() == 1:
+        return tree
+    from jax.experimental import multihost_utils
+
+    def whole(x):
+        if jax.numpy.issubdtype(x.dtype, jax.dtypes.prng_key):
+            return jax.random.wrap_key_data(whole(jax.random.key_data(x)))
+        if x.is_fully_addressable or x.is_fully_replicated:
+            return np.asarray(x)
+        return multihost_utils.process_allgather(x, tiled=True)
+
+    return jax.tree.map(whole, tree)
