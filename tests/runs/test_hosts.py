@@ -17,10 +17,10 @@ from mapg_jax.runs.metrics import read_metrics
 pytestmark = pytest.mark.cluster
 
 FLAGS = (
-    "--env pendulum --preset smoke --shards 4 --environments 8 --hidden 8 8 --batch-size 32 "
-    "--replay-size 1000 --updates-per-step 0.25 --evaluate-every 400 --evaluation-episodes 2 "
-    "--final-episodes 3 --checkpoint-seconds 0.001 --checkpoints-kept 100 --steps 2000"
-).split()
+    "--env pendulum --preset smoke --shards 4 --environments 8 --hidden 8 8 --batch-size 32",
+    "--replay-size 1000 --updates-per-step 0.25 --evaluate-every 400 --evaluation-episodes 2",
+    "--final-episodes 3 --checkpoint-seconds 0.001 --checkpoints-kept 100 --steps 2000",
+)
 
 
 def start(*arguments, devices, hosts=1):
@@ -51,12 +51,12 @@ def finish(processes, status=0):
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     path = tmp_path_factory.mktemp("hosts") / "run"
-    finish(start("train", *FLAGS, "--out", path, devices=2, hosts=2))
+    finish(start("train", *" ".join(FLAGS).split(), "--out", path, devices=2, hosts=2))
     return RunFolder.open(path)
 
 
 def test_two_hosts_make_the_run_of_one(whole, tmp_path):
-    finish(start("train", *FLAGS, "--out", tmp_path / "run", devices=4))
+    finish(start("train", *" ".join(FLAGS).split(), "--out", tmp_path / "run", devices=4))
     alone = read_metrics(tmp_path / "run" / "metrics.csv")
     together = read_metrics(whole.metrics)
     assert [row["env_steps"] for row in together] == [400, 800, 1200, 1600, 2000]
@@ -68,7 +68,7 @@ def test_two_hosts_make_the_run_of_one(whole, tmp_path):
 def test_one_of_two_is_killed_and_both_resume(whole, tmp_path):
     """The one that is left ends by itself; resumed by two, it is the run that nobody killed."""
     path = tmp_path / "run"
-    first, second = start("train", *FLAGS, "--out", path, devices=2, hosts=2)
+    first, second = start("train", *" ".join(FLAGS).split(), "--out", path, devices=2, hosts=2)
     while not (path / "metrics.csv").exists():
         assert first.poll() is None
         time.sleep(0.05)
@@ -88,7 +88,9 @@ def test_a_run_goes_on_with_other_devices(whole, tmp_path):
 
 
 def test_a_refusal_of_the_first_is_that_of_all(whole):
-    first, second = start("train", *FLAGS, "--out", whole.path, devices=2, hosts=2)
+    first, second = start(
+        "train", *" ".join(FLAGS).split(), "--out", whole.path, devices=2, hosts=2
+    )
     assert "exists already; choose another --out" in first.communicate(timeout=100)[1]
     assert "the first process of this run was refused" in second.communicate(timeout=100)[1]
     assert (first.returncode, second.returncode) == (2, 2)
