@@ -5,6 +5,7 @@ import datetime
 import json
 import pathlib
 import sys
+import typing
 from typing import Any, TextIO
 
 from mapg_jax.cli import fields
@@ -13,7 +14,7 @@ from mapg_jax.cli.main import parser
 from mapg_jax.runs.folder import RunFolder, is_blank
 from mapg_jax.runs.locking import lock
 from mapg_jax.runs.signals import StoppedError
-from mapg_jax.sweeps import forecast, grid
+from mapg_jax.sweeps import forecast, grid, launchers
 from mapg_jax.sweeps.folder import SweepFolder
 from mapg_jax.sweeps.groups import disk_bytes, group_bytes
 from mapg_jax.sweeps.sweep import Schedule, carry_out, make_schedule
@@ -46,6 +47,19 @@ def parse(flags: list[str]) -> argparse.Namespace:
         "--workers",
         type=int,
         help="Processes side by side; by default as many as cores and memory allow.",
+    )
+    command.add_argument(
+        "--launcher",
+        choices=typing.get_args(launchers.Name),
+        default="local",
+        help="Where workers run: on this machine, as jobs of Slurm, or as tasks of Ray.",
+    )
+    command.add_argument(
+        "--launcher-options",
+        nargs="*",
+        default=(),
+        metavar="NAME=VALUE",
+        help="Parameters of Slurm's jobs (submitit's names) or of Ray's tasks.",
     )
     command.add_argument(
         "--keep-replay",
@@ -121,6 +135,8 @@ def sweep_folder(arguments: argparse.Namespace) -> SweepFolder:
         arguments.group,
         arguments.workers,
         arguments.keep_replay,
+        arguments.launcher,
+        tuple(arguments.launcher_options),
     )
     if same := grid.size(given) - len(folder.runs()):
         print(f"{same} cells are equal to others and are run once", file=sys.stderr)
@@ -140,7 +156,11 @@ def _grouping(text: str) -> str | int:
 
 def _schedule(folder: SweepFolder) -> Schedule:
     return make_schedule(
-        folder.runs(), workers=folder.workers, group=folder.group, keep_replay=folder.keep_replay
+        folder.runs(),
+        workers=folder.workers,
+        group=folder.group,
+        keep_replay=folder.keep_replay,
+        launcher=launchers.launcher(folder.launcher, folder.launcher_options),
     )
 
 

@@ -7,7 +7,7 @@ import pathlib
 from typing import Any
 
 from mapg_jax.runs.folder import FORMAT, make_folder, write_json
-from mapg_jax.sweeps import grid
+from mapg_jax.sweeps import grid, launchers
 from mapg_jax.sweeps.groups import Grouping
 from mapg_jax.training.config import Config
 
@@ -23,6 +23,8 @@ class SweepFolder:
     group: Grouping = "auto"
     workers: int | None = None
     keep_replay: bool = False
+    launcher: launchers.Name = "local"
+    launcher_options: tuple[str, ...] = ()
 
     def runs(self) -> list[tuple[Config, pathlib.Path]]:
         """Each cell and its run folder.
@@ -64,7 +66,8 @@ class SweepFolder:
             if (found := record.pop("format", 1)) != FORMAT:
                 raise ValueError(f"it is of format {found!r}, and this version reads {FORMAT}")
             values = {k: tuple(map(_as_tuple, v)) for k, v in record.pop("values").items()}
-            folder = cls(path, values=values, **record)
+            options = tuple(record.pop("launcher_options", ()))
+            folder = cls(path, values=values, launcher_options=options, **record)
             folder.runs()
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ValueError(f"{file} is damaged: {error}") from None

@@ -20,7 +20,8 @@ from mapg_jax.sweeps.groups import (
     with_work_for,
     workers_that_fit,
 )
-from mapg_jax.sweeps.pool import Worker, leave_the_memory_to_workers, own_cores, shares
+from mapg_jax.sweeps.launchers import Launcher, Local, leave_the_memory_to_workers
+from mapg_jax.sweeps.pool import Worker
 from mapg_jax.sweeps.table import SweepTable
 from mapg_jax.training.config import Config
 
@@ -33,6 +34,7 @@ class Schedule(NamedTuple):
     groups: list[Group]
     workers: int
     keep_replay: bool
+    launcher: Launcher
 
 
 def make_schedule(
@@ -41,6 +43,7 @@ def make_schedule(
     workers: int | None = None,
     group: Grouping = "auto",
     keep_replay: bool = False,
+    launcher: Launcher | None = None,
 ) -> Schedule:
     """What is missing, in groups, and how many processes will do it.
 
@@ -49,15 +52,20 @@ def make_schedule(
       workers: processes side by side; by default as many as cores and memory allow.
       group: how many runs share a program, see `grouping.Grouping`.
       keep_replay: whether finished runs can be trained further.
+      launcher: starts the workers; by default on this machine.
 
     Raises:
       ValueError: if a folder holds another run, or memory or disk do not suffice.
     """
     leave_the_memory_to_workers()
     waiting = [part for whole in groups(unique_jobs(runs), group) for part in _left_of(whole)]
-    count = workers_that_fit(waiting, workers)
+    launcher = launcher or Local()
+    if launcher.here:
+        count = workers_that_fit(waiting, workers)
+    else:  # the machines that they run on know what fits
+        count = max(1, min(workers or len(waiting), len(waiting)))
     refuse_a_full_disk(waiting, count, keep_replay)
-    return Schedule(waiting, count, keep_replay)
+    return Schedule(waiting, count, keep_replay, launcher)
 
 
 def carry_out(
@@ -126,7 +134,8 @@ class _Pool:
 
     def __init__(self, schedule: Schedule):
         self._waiting = list(schedule.groups)
-        self._free = shares(own_cores(), schedule.workers)
+        self._launcher = schedule.launcher
+        self._free = self._launcher.shares(schedule.workers)
         self._workers: list[Worker] = []
         self._keep_replay = schedule.keep_replay
 
@@ -137,7 +146,8 @@ class _Pool:
         """As many as there are free shares of the cores."""
         begun = []
         while self._waiting and self._free:
-            begun.append(Worker(self._waiting.pop(0), self._free.pop(0), self._keep_replay))
+            group, share = self._waiting.pop(0), self._free.pop(0)
+            begun.append(Worker(group, share, self._keep_replay, self._launcher))
         self._workers += begun
         return begun
 
@@ -147,7 +157,7 @@ class _Pool:
         for worker in ended:
             worker.wait()
             self._workers.remove(worker)
-            self._free.append(list(worker.cores))
+            self._free.append(worker.share)
         return ended
 
     def add(self, group: Group) -> None:

@@ -87,8 +87,8 @@ class CrashingTogether(Worker):
 
     started: ClassVar[list[tuple[list[str], int]]] = []
 
-    def __init__(self, group, cores, keep_replay):
-        self.group, self.cores = group, cores
+    def __init__(self, group, share, keep_replay, launcher):
+        self.group, self.share = group, share
         self.folders = [RunFolder(job.path, job.config) for job in at_work(group)]
         self.started.append(([folder.path.name for folder in self.folders], len(group)))
 

@@ -1,0 +1,67 @@
+"""Workers as jobs of Slurm by submitit: one a group, saved and queued again when preempted."""
+
+import pathlib
+from collections.abc import Sequence
+
+import submitit
+
+from mapg_jax.sweeps import launchers
+from mapg_jax.sweeps.launchers import Share
+from mapg_jax.sweeps.task import Task, stop_file
+
+CLUSTER = "cluster"
+"""The option that says whose jobs: slurm, or local for processes of this machine."""
+USUAL: launchers.Options = {"timeout_min": 24 * 60, "cpus_per_task": 1, "name": "mapg"}
+
+
+class Launcher:
+    """Submits jobs."""
+
+    here = False
+
+    def __init__(self, options: launchers.Options):
+        """Parameters of a job, as submitit names them: timeout_min, slurm_partition, …"""
+        self._options = {**USUAL, **options}
+        self._cluster = self._options.pop(CLUSTER, "slurm")
+        self._executor(pathlib.Path())  # refuses what is wrong before anything is written
+
+    def shares(self, workers: int) -> list[Share]:
+        return [Share()] * workers
+
+    def start(self, command: Sequence[str], log: pathlib.Path, share: Share) -> "Job":
+        stop_file(log).unlink(missing_ok=True)
+        executor = self._executor(log.parent / "slurm")
+        return Job(executor.submit(Task(command, log, launchers.environment())), log)
+
+    def _executor(self, folder: pathlib.Path) -> submitit.AutoExecutor:
+        try:
+            # Ours is the Python of a virtual environment, which a job may not find by its name.
+            executor = submitit.AutoExecutor(folder, cluster=self._cluster)
+            executor.update_parameters(**self._options)
+        except (NameError, RuntimeError, ValueError) as error:
+            reason = str(error).splitlines()[0]
+            raise ValueError(f"Slurm cannot be used as asked: {reason}") from None
+        return executor
+
+
+class Job:
+    """A job, perhaps in its queue."""
+
+    def __init__(self, job: submitit.Job, log: pathlib.Path):
+        self._job, self._log = job, log
+
+    def running(self) -> bool:
+        return not self._job.done(force_check=False)
+
+    def stop(self) -> None:
+        stop_file(self._log).touch()
+        if self._job.state in ("PENDING", "UNKNOWN"):
+            self._job.cancel()
+
+    def wait(self) -> int:
+        try:
+            return int(self._job.result())
+        except (submitit.core.utils.FailedJobError, submitit.core.utils.UncompletedJobError):
+            return 1
+        finally:
+            stop_file(self._log).unlink(missing_ok=True)
