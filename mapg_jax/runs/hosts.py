@@ -1,7 +1,7 @@
-"""Several processes, on one machine or on many, that make one run together.
+"""Devices and hosts of a run: what lies where, and how several processes make it together.
 
-All compute the same program, each on its devices, and take every decision together; the first of
-them alone writes the run folder.
+All processes compute the same program, each on its devices, and take every decision together; the
+first of them alone writes the run folder.
 """
 
 import os
@@ -10,6 +10,10 @@ from typing import Any, TypeVar
 
 import jax
 import numpy as np
+from jax.sharding import NamedSharding
+
+from mapg_jax.training.layout import Layout
+from mapg_jax.training.state import TrainState
 
 Made = TypeVar("Made")
 
@@ -98,3 +102,27 @@ def gathered(tree: Any) -> Any:
         return multihost_utils.process_allgather(x, tiled=True)
 
     return jax.tree.map(whole, tree)
+
+
+def placed(state: TrainState, layout: Layout) -> TrainState:
+    """The state where the program wants it."""
+    if layout.devices == 1:
+        return state
+    if jax.process_count() == 1:
+        return jax.device_put(state, layout.shardings(state))
+    return jax.tree.map(_put, state, layout.shardings(state))
+
+
+def fetched(shared: Any, layout: Layout) -> Any:
+    """What all shards share, off the devices of the run if there are several."""
+    return shared if layout.devices == 1 else jax.device_get(shared)
+
+
+def _put(x: Any, sharding: NamedSharding) -> Any:
+    """An array, which every process has or which is among all of them, where it is wanted."""
+    if jax.numpy.issubdtype(x.dtype, jax.dtypes.prng_key):
+        return jax.random.wrap_key_data(_put(jax.random.key_data(x), sharding))
+    if x.is_fully_addressable:
+        whole = np.asarray(x)
+        return jax.make_array_from_callback(x.shape, sharding, lambda index: whole[index])
+    return jax.jit(lambda y: y, out_shardings=sharding)(x)

@@ -169,7 +169,7 @@ class Run:
         state, self._state = self._state, None  # its buffers are donated to the first chunk
         if state is None:
             state = self.program.init()
-        state = self.trainer.layout.place(state)
+        state = hosts.placed(state, self.trainer.layout)
         run = self._compiled(state, watch)
         stop = False
         while not self.finished and not stop:
@@ -184,7 +184,7 @@ class Run:
             if self.turn == due:
                 self._evaluate(state, watch)
                 totals = jax.tree.map(jnp.zeros_like, state.totals)
-                state = self.trainer.layout.place(state.replace(totals=totals))
+                state = hosts.placed(state.replace(totals=totals), self.trainer.layout)
             stop = watch.agreed_to_stop()
             due_to_save = hosts.of_first(watch.save_due(self.config.checkpoint_seconds))
             if self.finished or stop or due_to_save:
@@ -240,7 +240,7 @@ class Run:
 
     def _rows(self, state: Any, rate: float, seconds: float) -> dict[int, dict]:
         keys = self.program.evaluation_keys(self.env_steps)
-        agent = self.trainer.layout.fetched(state.agent)
+        agent = hosts.fetched(state.agent, self.trainer.layout)
         played = jax.device_get(self.program.jitted_evaluation(agent, keys))
         counters = jax.device_get((state.env_steps, state.agent.learner.updates, state.totals))
         rows = {}

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-import numpy as np
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
 from mapg_jax.algorithms.shards import DEVICE, SHARD
@@ -73,32 +72,10 @@ class Layout:
 
         return on_a_device if self.devices == 1 else on_all
 
-    def place(self, state: TrainState) -> TrainState:
-        """The state where the program wants it."""
-        if self.devices == 1:
-            return state
-        if jax.process_count() == 1:
-            return jax.device_put(state, self._shardings(state))
-        return jax.tree.map(_put, state, self._shardings(state))
-
-    def fetched(self, shared: Any) -> Any:
-        """What all shards share, off the devices of the run if there are several."""
-        return shared if self.devices == 1 else jax.device_get(shared)
-
-    def _shardings(self, state: TrainState) -> Any:
+    def shardings(self, state: TrainState) -> Any:
         """Of each leaf."""
         of_part = jax.tree.map(lambda spec: NamedSharding(self.mesh, spec), _specs())
         return jax.tree.broadcast(of_part, state, is_leaf=lambda x: isinstance(x, NamedSharding))
-
-
-def _put(x: Any, sharding: NamedSharding) -> Any:
-    """An array, which every process has or which is among all of them, where it is wanted."""
-    if jax.numpy.issubdtype(x.dtype, jax.dtypes.prng_key):
-        return jax.random.wrap_key_data(_put(jax.random.key_data(x), sharding))
-    if x.is_fully_addressable:
-        whole = np.asarray(x)
-        return jax.make_array_from_callback(x.shape, sharding, lambda index: whole[index])
-    return jax.jit(lambda y: y, out_shardings=sharding)(x)
 
 
 def _specs() -> Any:

@@ -12,6 +12,7 @@ import oracles
 import pytest
 
 from mapg_jax.algorithms import descent, normalization, shards
+from mapg_jax.runs.hosts import placed
 from mapg_jax.training.config import Config, preset
 from mapg_jax.training.layout import Layout
 from mapg_jax.training.trainer import make_trainer
@@ -117,7 +118,7 @@ def compare_devices() -> None:
 def after_two_turns(config: Config, devices: int) -> dict[str, np.ndarray]:
     """All numbers of the state, but the environment's own, which are floats in words."""
     trainer = make_trainer(config, devices)
-    state = trainer.jitted_run(trainer.layout.place(trainer.jitted_init(0)), 2)
+    state = trainer.jitted_run(placed(trainer.jitted_init(0), trainer.layout), 2)
     assert int(state.agent.learner.updates) > 0
     leaves = jax.tree_util.tree_leaves_with_path(state)
     return {
