@@ -30,7 +30,7 @@ class Launcher:
 
     def start(self, command: Sequence[str], log: pathlib.Path, share: Share) -> "Job":
         stop_file(log).unlink(missing_ok=True)
-        executor = self._executor(log.parent / "slurm")
+        executor = self._executor(log.parent.parent / "slurm")  # a run folder holds no links
         return Job(executor.submit(Task(command, log, launchers.environment())), log)
 
     def _executor(self, folder: pathlib.Path) -> submitit.AutoExecutor:

@@ -2,12 +2,14 @@
 
 import os
 import pathlib
+import signal
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 POLL_SECONDS = 0.5
+GRACE_SECONDS = 60.0
 
 
 class Task:
@@ -19,7 +21,18 @@ class Task:
         self._process: subprocess.Popen | None = None
 
     def __call__(self) -> int:
-        """The exit status of the worker."""
+        """The exit status of the worker, once it has done what it can or is asked to end.
+
+        A scheduler that takes the machine away tells the worker to end, too. Then this process will
+        be killed and its job queued again; if that does not happen, the worker is started again.
+        """
+        while True:
+            status = self._carry()
+            if status != 128 + signal.SIGTERM or stop_file(pathlib.Path(self.log)).exists():
+                return status
+            time.sleep(GRACE_SECONDS)
+
+    def _carry(self) -> int:
         with open(self.log, "ab") as log:
             self._process = subprocess.Popen(
                 self.command,

@@ -2,8 +2,12 @@
 
 import dataclasses
 import importlib
+import os
 import pathlib
+import shutil
 import signal
+import socket
+import subprocess
 import time
 
 import oracles
@@ -74,5 +78,106 @@ def test_a_job_that_is_asked_to_end_saves(tmp_path):
     worker.stop()
     worker.wait()
     assert worker.crashed()  # it has not finished
-    assert "128" in worker.failures()[tmp_path / "run"] or signal.SIGTERM
+    assert f"exit status {128 + signal.SIGTERM}" in worker.failures()[tmp_path / "run"]
     assert list((tmp_path / "run" / "checkpoints").iterdir())
+
+
+@pytest.mark.cluster
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Ray forks
+def test_a_task_of_ray_whose_node_is_lost_ends_on_another(local, tmp_path):
+    """Two nodes, one worker on each; one is lost while both train."""
+    cluster_utils = pytest.importorskip("ray.cluster_utils")
+    cluster = cluster_utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
+    nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
+    lost = []
+
+    def lose_one(*_):
+        if not lost and all((tmp_path / f"s{k}" / "metrics.csv").exists() for k in (0, 1)):
+            lost.append(cluster.remove_node(nodes[1], allow_graceful=False))
+            cluster.add_node(num_cpus=1)
+
+    try:
+        started_by = launcher("ray", [f"address={cluster.address}"])
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sweep.SweepTable, "update", lose_one)
+            together = carry_out(started_by, tmp_path, LONG)
+        assert lost
+        alone = carry_out(Local(), tmp_path / "alone", LONG)
+        for ours, theirs in zip(together, alone, strict=True):
+            oracles.assert_same_run(ours, theirs)
+    finally:
+        import ray
+
+        ray.shutdown()
+        cluster.shutdown()
+
+
+SLURM_CONF = """
+ClusterName=test
+SlurmctldHost={host}(127.0.0.1)
+AuthType=auth/munge
+SlurmUser=root
+SlurmdUser=root
+ProctrackType=proctrack/linuxproc
+TaskPlugin=task/none
+SelectType=select/cons_tres
+ReturnToService=2
+JobRequeue=1
+SlurmctldPidFile={folder}/slurmctld.pid
+SlurmdPidFile={folder}/slurmd.pid
+SlurmdSpoolDir={folder}/spool
+StateSaveLocation={folder}/state
+SlurmctldLogFile={folder}/slurmctld.log
+SlurmdLogFile={folder}/slurmd.log
+NodeName={host} NodeAddr=127.0.0.1 CPUs=2 State=UNKNOWN
+PartitionName=all Nodes=ALL Default=YES MaxTime=INFINITE State=UP
+"""
+
+
+@pytest.fixture
+def slurm(tmp_path, monkeypatch):
+    """Slurm with one node, of this machine."""
+    programs = ("munged", "slurmctld", "slurmd")
+    if missing := [name for name in programs if not shutil.which(name)]:
+        pytest.skip(f"there is no {missing[0]}: apt-get install slurm-wlm munge")
+    folder = tmp_path / "slurm"
+    for name in ("spool", "state"):
+        (folder / name).mkdir(parents=True)
+    conf = folder / "slurm.conf"
+    conf.write_text(SLURM_CONF.format(host=socket.gethostname().split(".")[0], folder=folder))
+    monkeypatch.setenv("SLURM_CONF", str(conf))
+    os.makedirs("/run/munge", exist_ok=True)
+    shutil.chown("/run/munge", "munge")
+    munge = ["runuser", "-u", "munge", "--", "munged", "--foreground", "--force"]
+    daemons = [subprocess.Popen(munge, stderr=subprocess.DEVNULL)]
+    try:
+        time.sleep(1)
+        for name in programs[1:]:
+            daemons.append(subprocess.Popen([name, "-D"], stderr=subprocess.DEVNULL))
+        subprocess.run(["srun", "--immediate=60", "hostname"], check=True, timeout=90)
+        yield
+    finally:
+        for daemon in reversed(daemons):
+            daemon.terminate()
+            daemon.wait()
+
+
+@pytest.mark.cluster
+def test_a_job_of_slurm_that_is_requeued_ends_like_one_that_is_not(slurm, tmp_path):
+    """Two jobs; the first is taken off its node while it trains, and queued again."""
+    requeued = []
+
+    def requeue_one(*_):
+        if not requeued and (tmp_path / "s0" / "metrics.csv").exists():
+            text = subprocess.check_output(["squeue", "-h", "-o", "%A"], text=True)
+            requeued.append(min(text.split(), key=int))
+            subprocess.run(["scontrol", "requeue", requeued[0]], check=True)
+
+    started_by = launcher("slurm", ["slurm_use_srun=0"])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sweep.SweepTable, "update", requeue_one)
+        together = carry_out(started_by, tmp_path, LONG)
+    assert requeued
+    alone = carry_out(Local(), tmp_path / "alone", LONG)
+    for ours, theirs in zip(together, alone, strict=True):
+        oracles.assert_same_run(ours, theirs)
