@@ -1,6 +1,7 @@
 """Workers as jobs of Slurm by submitit: one a group, saved and queued again when preempted."""
 
 import pathlib
+import subprocess
 from collections.abc import Sequence
 
 import submitit
@@ -23,7 +24,10 @@ class Launcher:
         """Parameters of a job, as submitit names them: timeout_min, slurm_partition, …"""
         self._options = {**USUAL, **options}
         self._cluster = self._options.pop(CLUSTER, "slurm")
-        self._executor(pathlib.Path())  # refuses what is wrong before anything is written
+        # What is wrong is refused before anything is written.
+        self._executor(pathlib.Path())
+        if self._cluster == "slurm":
+            _refuse_without_controller()
 
     def shares(self, workers: int) -> list[Share]:
         return [Share()] * workers
@@ -31,7 +35,11 @@ class Launcher:
     def start(self, command: Sequence[str], log: pathlib.Path, share: Share) -> "Job":
         stop_file(log).unlink(missing_ok=True)
         executor = self._executor(log.parent.parent / "slurm")  # a run folder holds no links
-        return Job(executor.submit(Task(command, log, launchers.environment())), log)
+        try:
+            job = executor.submit(Task(command, log, launchers.environment()))
+        except submitit.core.utils.FailedJobError as error:
+            raise OSError(f"Slurm takes no job: {str(error).splitlines()[0]}") from None
+        return Job(job, log)
 
     def _executor(self, folder: pathlib.Path) -> submitit.AutoExecutor:
         try:
@@ -42,6 +50,17 @@ class Launcher:
             reason = str(error).splitlines()[0]
             raise ValueError(f"Slurm cannot be used as asked: {reason}") from None
         return executor
+
+
+def _refuse_without_controller() -> None:
+    """Raises ValueError if Slurm does not answer."""
+    try:
+        asked = subprocess.run(["sinfo", "-h"], capture_output=True, text=True, timeout=60)
+        said = asked.stderr if asked.returncode else ""
+    except (OSError, subprocess.TimeoutExpired) as error:
+        said = str(error)
+    if said:
+        raise ValueError(f"Slurm does not answer here: {said.strip().splitlines()[-1]}")
 
 
 class Job:
