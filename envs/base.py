@@ -146,6 +146,10 @@ class Episodes(Wrapper, Env):
     def observation_size(self) -> int:
         return self.env.observation_size
 
+    @property
+    def backend(self) -> str:
+        return self.env.backend
+
     def render(
         self, episodes: Sequence[Episode], player: Player, folder: pathlib.Path
     ) -> list[pathlib.Path]:

@@ -65,6 +65,10 @@ class BraxEnv(Wrapper, Env):
         return self._observation_size
 
     @property
+    def backend(self) -> str:
+        return getattr(self.env, "_backend", "jax")  # its smallest ones have none
+
+    @property
     def action_high(self) -> np.ndarray:
         return np.ones(self.action_size, np.float32)
 
