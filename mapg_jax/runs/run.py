@@ -189,6 +189,7 @@ class Run:
             due_to_save = hosts.of_first(watch.save_due(self.config.checkpoint_seconds))
             if self.finished or stop or due_to_save:
                 self._save(state, watch)
+                stop = watch.agreed_to_stop()  # whoever is told of a checkpoint may ask for it
         watch.obey()
 
     def _compiled(self, state: Any, watch: "_Watch") -> Any:

@@ -40,7 +40,7 @@ def test_a_run_that_fails_does_not_stop_the_others(swept):
     runs, failures, told = swept
     paths = [path for _, path in runs]
     assert failures == [
-        f"{paths[0]}: a loss or parameter is no longer finite at step 16; no checkpoint was due"
+        f"{paths[0]}: numbers are no longer finite at step 16 (critic_loss); no checkpoint was due"
     ]
     assert told == ["one"]
     assert [is_finished(RunFolder.open(path)) for path in paths] == [False, True]
