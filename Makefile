@@ -11,7 +11,7 @@ demo: .venv/ready  ## train MAPG (M = 10) on Pendulum and score it over 100 epis
 test: .venv/ready  ## the tests, under 12 minutes on 2 cores
 	$(PYTEST) -n 2 --dist loadfile -m "not mjx and not slow and not cluster"
 
-test-slow: .venv/ready  ## lockstep of all algorithms, and training by Brax, about 5 minutes on 2 cores
+test-slow: .venv/ready  ## every algorithm resumes, learns and goes in lockstep; training by Brax; lowering
 	$(PYTEST) -n 2 -m "slow and not mjx"
 
 test-mjx: .venv/ready  ## the tests that compile every task for MJX, about 15 minutes on 2 cores

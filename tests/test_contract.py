@@ -39,12 +39,23 @@ def test_every_algorithm_is_listed():
     assert set(LEARNS) == set(registry.names())
 
 
-@pytest.mark.parametrize("name", LEARNS)
-@pytest.mark.parametrize(
-    "check", [contract.check_shapes, contract.check_resuming, contract.check_lowering]
+QUICK = ("mapg", "a3c", "ppo")
+"""One or two of each kind; what it takes to compile the others is left to `make test-slow`."""
+each = pytest.mark.parametrize(
+    "name",
+    [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in LEARNS],
 )
+
+
+@pytest.mark.parametrize("name", LEARNS)
+@pytest.mark.parametrize("check", [contract.check_shapes, contract.check_lowering])
 def test_an_algorithm_keeps_the_contract(name, check):
     check(contract.tiny(name))
+
+
+@each
+def test_an_algorithm_resumes_bit_for_bit(name):
+    contract.check_resuming(contract.tiny(name))
 
 
 @pytest.mark.slow
@@ -55,7 +66,7 @@ def test_runs_of_an_algorithm_go_in_lockstep(name):
     contract.check_lockstep(contract.tiny(name), turns)
 
 
-@pytest.mark.parametrize("name", LEARNS)
+@each
 def test_an_algorithm_learns_known_values(name):
     """Reward 0, then 1, then the end, at γ = ½: worth ½, then 1."""
     config = contract.tiny(name, discount=0.5, **LEARNS[name])

@@ -157,7 +157,8 @@ def test_trpos_direction_is_the_dense_solve():
     learner, batch = algorithm.prepare(learner, hyper, given)
     flat, unravel = ravel_pytree(learner.actor)
     gradient = jax.grad(algorithm.surrogate)(learner.actor, batch, hyper)
-    found, _ = ravel_pytree(algorithm.direction(learner.actor, gradient, hyper, batch))
+    direction = jax.jit(algorithm.direction)
+    found, _ = ravel_pytree(direction(learner.actor, gradient, hyper, batch))
 
     def kl(x):
         return algorithm.kl(learner.actor, unravel(x), hyper, batch)

@@ -371,6 +371,7 @@ def test_the_bytes_are_those_of_the_state():
     assert trainer.bytes == tree_bytes(state) == sum(x.nbytes for x in jax.tree.leaves(state))
 
 
+@pytest.mark.slow
 def test_the_parallel_preset_lowers_for_accelerators(their_code):
     """4,096 MJX Hoppers, a whole chunk, without a GPU or a TPU."""
     config = preset("parallel", env="hopper")
