@@ -18,6 +18,7 @@ test-mjx: .venv/ready  ## the tests that compile every task for MJX, about 15 mi
 	$(PYTEST) -m mjx
 
 test-cluster: .venv/ready  ## several hosts that make one run, and sweeps by Slurm and Ray
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,ray,slurm]'
 	$(PYTEST) -m cluster
 
 torture: .venv/ready  ## breaks runs on purpose, and counts what is lost; goes on from the last time

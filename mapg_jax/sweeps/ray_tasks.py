@@ -4,7 +4,7 @@ import os
 import pathlib
 from collections.abc import Sequence
 
-import ray
+import ray  # pyright: ignore[reportMissingImports]
 
 from mapg_jax.sweeps import launchers
 from mapg_jax.sweeps.launchers import Share

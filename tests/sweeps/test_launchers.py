@@ -8,6 +8,8 @@ import shutil
 import signal
 import socket
 import subprocess
+import sys
+import threading
 import time
 
 import oracles
@@ -17,6 +19,7 @@ from mapg_jax.runs.folder import RunFolder
 from mapg_jax.sweeps import launchers, sweep
 from mapg_jax.sweeps.launchers import Local, launcher
 from mapg_jax.sweeps.pool import Worker
+from mapg_jax.sweeps.task import Task
 
 RUN = dataclasses.replace(oracles.RUN, steps=400, checkpoint_seconds=300.0, checkpoints_kept=2)
 LONG = dataclasses.replace(RUN, steps=40_000, evaluate_every=4_000, checkpoint_seconds=1e-3)
@@ -80,6 +83,20 @@ def test_a_job_that_is_asked_to_end_saves(tmp_path):
     assert worker.crashed()  # it has not finished
     assert f"exit status {128 + signal.SIGTERM}" in worker.failures()[tmp_path / "run"]
     assert list((tmp_path / "run" / "checkpoints").iterdir())
+
+
+def test_a_job_that_runs_out_of_time_is_queued_again_once_it_has_saved(tmp_path):
+    """What submitit calls then, beside the worker that waits for its input to end."""
+    program = "import sys; sys.stdin.read(); print('saved')"
+    task = Task([sys.executable, "-c", program], tmp_path / "worker.log", {})
+    thread = threading.Thread(target=task)
+    thread.start()
+    while task._process is None:
+        time.sleep(0.01)
+    again = task.checkpoint()
+    thread.join()
+    assert (tmp_path / "worker.log").read_text() == "saved\n"
+    assert again.function.command == task.command
 
 
 @pytest.mark.cluster
