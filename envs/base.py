@@ -38,6 +38,8 @@ class Env(brax.envs.base.Env):
     """[A] float32, what an action of 1 is in Gymnasium's units."""
     scored_metrics: tuple[ScoredMetric, ...] = ()
     """What belongs to a score, beside the return."""
+    observation_bounds: tuple[Any, Any] = (-np.inf, np.inf)
+    """Lowest and highest, each a number or [D]."""
     drawn_episodes: int = 1
     """How many episodes a drawing shows."""
 

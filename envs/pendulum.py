@@ -17,6 +17,9 @@ START = np.array(
 )  # rad, rad/s: angle and speed start uniform within ±START
 
 
+MOST = np.array([1.0, 1.0, MAX_SPEED], np.float32)
+
+
 class Pendulum(Env):
     """Gymnasium's Pendulum-v1.
 
@@ -32,6 +35,7 @@ class Pendulum(Env):
     """
 
     action_high = np.array([MAX_TORQUE])
+    observation_bounds = (-MOST, MOST)
     dt = DT
 
     def __init__(self, g: float = 10.0):  # m/s²

@@ -8,7 +8,7 @@ action = policy(observation)
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from mapg_jax import foreign
+from mapg_jax import foreign, registration
 
 if TYPE_CHECKING:
     from mapg_jax.algorithms.registry import find as find_algorithm
@@ -55,3 +55,6 @@ def __getattr__(name: str) -> Any:
     foreign.refuse("envs")
     module, _, attribute = _PUBLIC[name].rpartition(".")
     return getattr(importlib.import_module(f"{__name__}.{module}"), attribute)
+
+
+registration.with_gymnasium()

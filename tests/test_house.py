@@ -110,7 +110,7 @@ ROOMS = {
     ),
 }
 """Folders of `mapg_jax`, and the files of each, from top to bottom; CONTRIBUTING.md draws them."""
-PACKAGE = ("foreign", "__init__", "__main__")
+PACKAGE = ("foreign", "registration", "__init__", "__main__")
 """Beside the rooms: what stands before them, and the two names of the whole."""
 FILES = [f"{room}.{file}" for room, files in ROOMS.items() for file in files]
 PURE = FILES[: FILES.index("training.trainer")]

@@ -35,6 +35,7 @@ class Bandit(Env):
     widths: ClassVar[Float32[np.ndarray, "K"]]
     """The σ_i."""
 
+    observation_bounds = (-1.0, 1.0)
     drawn_episodes = 100
 
     @property
