@@ -12,12 +12,10 @@ from envs.base import Action, Env, State
 DT, MASS, LENGTH = 0.05, 1.0, 1.0  # s, kg, m
 MAX_SPEED = 8.0  # rad/s
 MAX_TORQUE = np.float32(2.0)  # N m
+MOST = np.array([1.0, 1.0, MAX_SPEED], np.float32)  # of the observation
 START = np.array(
     [np.pi, 1.0], np.float32
 )  # rad, rad/s: angle and speed start uniform within ±START
-
-
-MOST = np.array([1.0, 1.0, MAX_SPEED], np.float32)
 
 
 class Pendulum(Env):

@@ -84,6 +84,11 @@ def names() -> tuple[str, ...]:
     return tuple(dict.fromkeys([*_SPECS, *_entry_points()]))
 
 
+def loaded() -> tuple[EnvSpec, ...]:
+    """What is known without importing anything: not what installed packages name."""
+    return tuple(_SPECS.values())
+
+
 def spec(name: str) -> EnvSpec:
     """What is known of the environment `name`.
 

@@ -39,7 +39,6 @@ class MultiGoal(Point):
       reward_scale: c; Soft Q-Learning trains with 0.1.
     """
 
-    observation_bounds = (-BOUND, BOUND)
     drawn_episodes = 20
     scored_metrics = reached("goal", "goals", 4)
 

@@ -29,6 +29,10 @@ class Point(Env):
     action_high = np.ones(2, np.float32)
 
     @property
+    def observation_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.plane.low, self.plane.high
+
+    @property
     def observation_size(self) -> int:
         return 2
 

@@ -34,8 +34,9 @@ def run(arguments: argparse.Namespace, out: TextIO) -> None:
     """Goes on."""
     path, steps = arguments.path, arguments.steps
     if SweepFolder.is_one(path):
-        if steps is not None:
-            sys.exit(complain(f"{path} is a sweep; --steps trains a run of it further", 2))
+        of_runs = ("steps", "devices", "coordinator", "hosts", "host")
+        for name in (name for name in of_runs if getattr(arguments, name) is not None):
+            sys.exit(complain(f"{path} is a sweep; --{name} is for a run of it", 2))
         sweep.go_on(path, out)
         return
     join_hosts(arguments)

@@ -62,8 +62,7 @@ def add_devices(command: argparse.ArgumentParser) -> None:
 
 def join_hosts(arguments: argparse.Namespace) -> None:
     """Meets the other processes of the run, if there are any."""
-    asked = arguments.coordinator, arguments.hosts, arguments.host
-    if asked == (None, None, None):
+    if (arguments.coordinator, arguments.hosts, arguments.host) == (None, None, None):
         return
     address = None if arguments.coordinator == "slurm" else arguments.coordinator
     refuse_politely(lambda: hosts.join(address, arguments.hosts, arguments.host))
@@ -71,6 +70,8 @@ def join_hosts(arguments: argparse.Namespace) -> None:
 
 def _all_or_number(text: str) -> int | None:
     """None is all."""
+    if text != "all" and not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"must be all or a whole number, got {text!r}")
     return None if text == "all" else int(text)
 
 

@@ -91,7 +91,7 @@ def group_bytes(group: Group) -> int:
 
 
 def workers_that_fit(cut: Sequence[Group], wanted: int | None = None) -> int:
-    """How many processes to use: one a core, and on an accelerator one, if the memory allows.
+    """How many processes to use: one a core or an accelerator, if the memory allows.
 
     Raises:
       ValueError: if not even one fits, or not as many as wanted.
@@ -99,10 +99,11 @@ def workers_that_fit(cut: Sequence[Group], wanted: int | None = None) -> int:
     if wanted is not None and wanted < 1:
         raise ValueError(f"workers must be at least 1, got {wanted}")
     on_cpu = jax.default_backend() == "cpu"
+    accelerators = 1 if on_cpu else jax.local_device_count()  # alike, each with its memory
     largest = max(map(group_bytes, cut), default=0)
     each = largest + (PROCESS_BYTES if on_cpu else 0)
-    fitting = available_bytes() // each if each else 1
-    workers = min(wanted or (cpus() if on_cpu else 1), len(cut) or 1)
+    fitting = accelerators * (available_bytes() // each) if each else 1
+    workers = min(wanted or (cpus() if on_cpu else accelerators), len(cut) or 1)
     if fitting < (workers if wanted else 1):
         raise ValueError(
             f"{wanted or 1} at a time, each of {each / 1e9:.1f} GB, do not fit the "

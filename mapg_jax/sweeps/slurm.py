@@ -43,7 +43,6 @@ class Launcher:
 
     def _executor(self, folder: pathlib.Path) -> submitit.AutoExecutor:
         try:
-            # Ours is the Python of a virtual environment, which a job may not find by its name.
             executor = submitit.AutoExecutor(folder, cluster=self._cluster)
             executor.update_parameters(**self._options)
         except (NameError, RuntimeError, ValueError) as error:

@@ -12,6 +12,7 @@ import numpy as np
 import optax
 import oracles
 import pytest
+import slow_ddpg
 
 from mapg_jax.algorithms.base import Transition
 from mapg_jax.algorithms.descent import kernel_l2
@@ -292,8 +293,8 @@ def test_one_head_is_ddpg(gradient, target):
         CONFIG, heads=1, layer_norm=False, gradient=gradient, target=target
     )
     _, state, hyper = setup(config)
-    ours = (oracles.ddpg_actor_parameters, oracles.ddpg_critic_parameters)
-    oracle = oracles.Ddpg(
+    ours = (slow_ddpg.actor_parameters, slow_ddpg.critic_parameters)
+    oracle = slow_ddpg.Ddpg(
         *(read(params) for read, params in zip(ours, (state.actor, state.critic), strict=True)),
         config,
     )

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import oracles
+import slow_ddpg
 
 from mapg_jax.algorithms.base import Transition
 from mapg_jax.algorithms.naf import Landscape, Naf, NafOptions, maximum, q_value
@@ -69,7 +69,7 @@ def test_one_peak_is_naf():
     learner = jax.jit(algorithm.init, static_argnums=1)(jax.random.key(0), 3)
     leaves, tree = jax.tree.flatten(learner.critic)
     plain = target = dict(enumerate(leaves))
-    adam, update = oracles.Adam(1e-2), jax.jit(algorithm.update)
+    adam, update = slow_ddpg.Adam(1e-2), jax.jit(algorithm.update)
 
     def network(p, s):
         v, mean, cholesky, height = algorithm.critic.apply(jax.tree.unflatten(tree, p.values()), s)

@@ -8,6 +8,7 @@ import numpy as np
 import oracles
 import pytest
 import scipy.stats
+import slow_ddpg
 
 from mapg_jax.algorithms.networks import LAST_LAYER_SCALE, Actor, Critic
 
@@ -91,15 +92,13 @@ def test_without_layer_norm_networks_are_the_papers_two_layers():
     observation, actions = inputs(7, 1)
     np.testing.assert_allclose(
         actor.apply(actor_params, observation)[:, 0],
-        oracles.ddpg_actor(oracles.ddpg_actor_parameters(actor_params), observation),
+        slow_ddpg.actor(slow_ddpg.actor_parameters(actor_params), observation),
         rtol=1e-5,
         atol=1e-7,
     )
     np.testing.assert_allclose(
         critic.apply(critic_params, observation, actions)[:, 0],
-        oracles.ddpg_critic(
-            oracles.ddpg_critic_parameters(critic_params), observation, actions[:, 0]
-        ),
+        slow_ddpg.critic(slow_ddpg.critic_parameters(critic_params), observation, actions[:, 0]),
         rtol=1e-5,
         atol=1e-6,
     )

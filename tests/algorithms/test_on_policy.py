@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import oracles
 import pytest
+import slow_ddpg
 from jax.flatten_util import ravel_pytree
 
 from mapg_jax.algorithms import normalization
@@ -126,7 +127,7 @@ def test_one_head_is_ppo():
 
     flat = jax.tree.map(jnp.asarray, flat)
     actor, critic = learner.actor, learner.critic
-    actor_adam, critic_adam = oracles.Adam(3e-4), oracles.Adam(3e-4)
+    actor_adam, critic_adam = slow_ddpg.Adam(3e-4), slow_ddpg.Adam(3e-4)
     for epoch in jax.random.split(key, PPO.epochs):
         for part in jax.random.permutation(epoch, T * N).reshape(PPO.minibatches, -1):
             for_actor, for_critic = gradients(actor, critic, part)

@@ -6,8 +6,8 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-import oracles
 import pytest
+import slow_ddpg
 
 from mapg_jax.algorithms import heads
 from mapg_jax.algorithms.base import Transition
@@ -44,7 +44,7 @@ class Descent:
     """Adam on a tree of parameters."""
 
     def __init__(self, rate):
-        self.adam = oracles.Adam(rate)
+        self.adam = slow_ddpg.Adam(rate)
 
     def __call__(self, params, gradient):
         leaves, tree = jax.tree.flatten(params)

@@ -203,4 +203,4 @@ def test_a_dry_run_predicts_the_time(mapg, contents, monkeypatch):
 def test_a_sweep_takes_no_steps_when_it_is_resumed(mapg, tmp_path):
     SweepFolder(tmp_path / "s", "smoke", {"seed": (0, 1)}).create()
     status, out, err = mapg("resume", "s", "--steps", 5)
-    assert (status, out, err) == (2, "", "mapg: s is a sweep; --steps trains a run of it further\n")
+    assert (status, out, err) == (2, "", "mapg: s is a sweep; --steps is for a run of it\n")

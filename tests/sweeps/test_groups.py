@@ -33,6 +33,9 @@ def test_accelerators_get_as_many_as_fit(monkeypatch):
     monkeypatch.setattr(module, "available_bytes", lambda: 5 * each)
     assert [len(group) for group in groups(jobs(), "auto")] == [2, 1]  # in half of it
     assert workers_that_fit(groups(jobs(), "auto")) == 1
+    monkeypatch.setattr(module.jax, "local_device_count", lambda: 4)
+    assert workers_that_fit(groups(jobs(), "one")) == 3  # one each, and there are three groups
+    monkeypatch.setattr(module.jax, "local_device_count", lambda: 1)
     monkeypatch.setattr(module, "available_bytes", lambda: 2 * each + each // 2)
     with pytest.raises(ValueError, match="do not fit"):
         workers_that_fit(groups(jobs(), "all"))

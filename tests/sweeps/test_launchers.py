@@ -34,6 +34,12 @@ def carry_out(launched_by, root: pathlib.Path, run=RUN, seeds=(0, 1)) -> list[Ru
     return [RunFolder(path, config) for config, path in runs]
 
 
+def assert_as_here(found: list[RunFolder], root: pathlib.Path) -> None:
+    """The runs of LONG, to the last bit as workers of this machine make them."""
+    for ours, theirs in zip(found, carry_out(Local(), root, LONG), strict=True):
+        oracles.assert_same_run(ours, theirs)
+
+
 @pytest.fixture(scope="module")
 def local(tmp_path_factory, quick_compilation):
     return carry_out(Local(), tmp_path_factory.mktemp("local"))
@@ -101,7 +107,7 @@ def test_a_job_that_runs_out_of_time_is_queued_again_once_it_has_saved(tmp_path)
 
 @pytest.mark.cluster
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Ray forks
-def test_a_task_of_ray_whose_node_is_lost_ends_on_another(local, tmp_path):
+def test_a_task_of_ray_whose_node_is_lost_ends_on_another(tmp_path):
     """Two nodes, one worker on each; one is lost while both train."""
     cluster_utils = pytest.importorskip("ray.cluster_utils")
     cluster = cluster_utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
@@ -119,9 +125,7 @@ def test_a_task_of_ray_whose_node_is_lost_ends_on_another(local, tmp_path):
             patch.setattr(sweep.SweepTable, "update", lose_one)
             together = carry_out(started_by, tmp_path, LONG)
         assert lost
-        alone = carry_out(Local(), tmp_path / "alone", LONG)
-        for ours, theirs in zip(together, alone, strict=True):
-            oracles.assert_same_run(ours, theirs)
+        assert_as_here(together, tmp_path / "alone")
     finally:
         import ray
 
@@ -195,6 +199,4 @@ def test_a_job_of_slurm_that_is_requeued_ends_like_one_that_is_not(slurm, tmp_pa
         patch.setattr(sweep.SweepTable, "update", requeue_one)
         together = carry_out(started_by, tmp_path, LONG)
     assert requeued
-    alone = carry_out(Local(), tmp_path / "alone", LONG)
-    for ours, theirs in zip(together, alone, strict=True):
-        oracles.assert_same_run(ours, theirs)
+    assert_as_here(together, tmp_path / "alone")
