@@ -50,14 +50,16 @@ SHOWN = ("DDPG", "M = 10", "diverse")
 
 
 def runs(plan: Plan) -> list[Config]:
-    """Task by task; of each seed by seed."""
-    return [
-        config
-        for name in TASKS
-        for config in sorted(
-            (c for label in ARMS for c in arm(plan, name, label)), key=lambda config: config.seed
-        )
-    ]
+    """The small tasks first, of them what the picture shows; seed by seed, so that all grow."""
+    wanted = []
+    for place, (name, task) in enumerate(TASKS.items()):
+        for number, label in enumerate(ARMS):
+            small, shown = bool(task.changes), label in SHOWN
+            wanted += [
+                ((not small, small and not shown, config.seed, place, number), config)
+                for config in arm(plan, name, label)
+            ]
+    return [config for _, config in sorted(wanted, key=lambda pair: pair[0])]
 
 
 def arm(plan: Plan, name: str, label: str) -> list[Config]:
