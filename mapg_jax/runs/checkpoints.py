@@ -2,10 +2,11 @@
 
 A checkpoint has three parts: `agent`, enough to act and evaluate; `rest`, what else a run needs to
 go on bit for bit; and `host`, its seal: digests of every array, of the configuration, of itself.
-Only the filled slots of the replay are written. Leaves are stored under their paths in the tree,
-random keys as their bits; nothing is pickled.
+Only the filled slots of the replay are written, if it is saved at all. Leaves are stored under
+their paths in the tree, random keys as their bits; nothing is pickled.
 """
 
+import concurrent.futures
 import hashlib
 import json
 import logging
@@ -28,6 +29,9 @@ from mapg_jax.training.state import TrainState
 # Orbax logs every save at WARNING, and what it raises besides at ERROR.
 logging.getLogger("absl").setLevel(logging.CRITICAL)
 LOG = logging.getLogger(__name__)
+WRITER = concurrent.futures.ThreadPoolExecutor(1, "checkpoints")
+"""One checkpoint at a time, of all runs in lockstep too. (Orbax's own threads wait five minutes for
+each other where one cannot write.)"""
 
 
 def _without_closed_loops(tell):
@@ -88,6 +92,7 @@ class Checkpoints:
             path.mkdir(parents=True, exist_ok=True)
         self.path, self._config, self._options = path, config, options
         self._manager = ocp.CheckpointManager(path.absolute(), options=options)
+        self._writing: concurrent.futures.Future[None] | None = None
 
     def steps(self) -> list[int]:
         """Environment steps of all complete checkpoints, the newest last."""
@@ -103,16 +108,42 @@ class Checkpoints:
         Raises:
           OSError: if it cannot be written, as where the disk is full.
         """
+        self.begin_to_save(state, host)
+        self.wait()
+
+    def begin_to_save(self, state: TrainState, host: Mapping[str, Any]) -> None:
+        """`save` from a copy, beside what goes on; it is whole once `wait` has returned.
+
+        Raises:
+          OSError: if the one before could not be written.
+        """
+        self.wait()
         rest = state.replace(agent=None)
         if state.replay is not None:
             rest = rest.replace(replay=replay.trim(state.replay))
-        parts = {"agent": _flatten(state.agent), "rest": _flatten(rest)}
-        step = int(state.env_steps)
+        # Arrays of NumPy share the buffers of those of JAX, which the next chunk writes over.
+        parts = {
+            part: {name: np.array(leaf) for name, leaf in _flatten(tree).items()}
+            for part, tree in (("agent", state.agent), ("rest", rest))
+        }
+        self._writing = WRITER.submit(self._write, int(state.env_steps), parts, dict(host))
+
+    def wait(self) -> None:
+        """Until the checkpoint that was begun is whole.
+
+        Raises:
+          OSError: if it cannot be written.
+        """
+        writing, self._writing = self._writing, None
+        if writing is not None:
+            writing.result()
+
+    def _write(self, step: int, parts: dict[str, dict[str, np.ndarray]], host: dict) -> None:
         digests = {
             part: {name: _digest(leaf) for name, leaf in leaves.items()}
             for part, leaves in parts.items()
         }
-        record = _Record(step, self._config, dict(host), digests)
+        record = _Record(step, self._config, host, digests)
         saved = {part: ocp.args.StandardSave(leaves) for part, leaves in parts.items()}
         sealed = {**record._asdict(), "seal": _seal(record)}
         args = ocp.args.Composite(**saved, host=ocp.args.JsonSave(sealed))
@@ -233,12 +264,14 @@ class Checkpoints:
     def _refuse_other_shapes(self, step, part: str, wanted, digests: dict[str, Any]) -> None:
         """Before an array is read, whose size would otherwise be what a file says."""
         expected = {name: _stored(shape) for name, shape in wanted.items() if shape.size}
-        if set(expected) != set(digests):
+        lacking = set(expected) - set(digests)
+        empty = bool(lacking) and lacking == {x for x in expected if x.startswith(".replay.data")}
+        if set(digests) - set(expected) or (lacking and not empty):
             raise ValueError(
                 f"{self.path.parent}: the checkpoint is of another configuration, or engine"
             )
-        for name, leaf in expected.items():
-            shape, ours = tuple(digests[name]["shape"]), leaf.shape
+        for name in digests:
+            shape, ours = tuple(digests[name]["shape"]), expected[name].shape
             if name.startswith(".replay.data"):  # only filled slots are written
                 slots = len(expected[".replay.size"].shape)  # their axis, behind that of shards
                 if shape[slots : slots + 1] <= ours[slots : slots + 1]:

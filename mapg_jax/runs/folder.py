@@ -18,9 +18,10 @@ from typing import Any
 from mapg_jax.runs import locking
 from mapg_jax.training.config import Config, fields
 
-FORMAT = 4
-"""Of run folders. Format 1 (no number in it) had one list of fields for all algorithms; the states
-of format 2 know no head that is held, those of format 3 count no broken steps."""
+FORMAT = 5
+"""Of run folders; a default that changes begins a new one. Format 1 (no number in it) had one list
+of fields for all algorithms; the states of format 2 know no head that is held, those of format 3
+count no broken steps; the digest of format 4 was over all fields."""
 BITS = ("jax", "jaxlib", "flax", "optax", "mujoco", "mujoco-mjx", "numpy")
 """Packages whose versions can change last bits."""
 CONFIG_BYTES = 1_000_000
@@ -54,9 +55,14 @@ class RunFolder:
 
     @property
     def digest(self) -> str:
-        """Of the configuration, without the steps, of which a run can be given more."""
-        values = {k: v for k, v in values_of(self.config).items() if k != "steps"}
-        text = json.dumps(values, sort_keys=True)
+        """Of the configuration, without the steps, of which a run can be given more.
+
+        Fields that have their defaults are left out: one that comes later changes nothing.
+        """
+        usual = {name: field.default for name, field in fields(type(self.config)).items()}
+        values = {k: v for k, v in values_of(self.config).items() if v != usual[k]}
+        said = {**values, "algorithm": self.config.algorithm, "steps": None}
+        text = json.dumps(said, sort_keys=True)
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
     @classmethod

@@ -1,5 +1,6 @@
 """What the host keeps of one run: its folder, its checkpoints, and the rows of its metrics."""
 
+import logging
 import math
 import shutil
 from typing import Any
@@ -12,10 +13,12 @@ from mapg_jax.runs import hosts
 from mapg_jax.runs.checkpoints import Checkpoints, DamagedError
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.metrics import MetricsFile, cut_metrics, rows_digest
+from mapg_jax.training import replay
 from mapg_jax.training.evaluation import Played, summarize
 from mapg_jax.training.state import Totals
 from mapg_jax.training.trainer import Trainer
 
+LOG = logging.getLogger(__name__)
 DIVERGED = "numbers are no longer finite"
 BROKEN_SHARE = 0.01
 """Of the environments: so many broken steps in a chunk are pardoned, and one at least."""
@@ -63,13 +66,21 @@ class Member:
                 "that were written"
             )
         self.seconds_before = float(host["seconds"])
+        if state.replay is not None and not self.config.save_replay:
+            LOG.warning(
+                "%s was saved without its replay, which is filled anew: its numbers are not those "
+                "of a run that never stopped",
+                self.folder.path,
+            )
         return state
 
-    def save(self, state: Any, seconds: float) -> None:
-        """A checkpoint of a plain state, `seconds` into this process's part of the run."""
+    def begin_to_save(self, state: Any, seconds: float) -> None:
+        """Begins a checkpoint of a plain state, `seconds` into this process's part of the run."""
         metrics = rows_digest(self.folder.metrics, int(state.env_steps))
         host = {"seconds": self.seconds_before + seconds, "metrics": metrics}
-        self.checkpoints.save(state, host)
+        if state.replay is not None and not self.config.save_replay:
+            state = state.replace(replay=replay.emptied(state.replay))
+        self.checkpoints.begin_to_save(state, host)
 
     def metrics_file(self, env_steps: int) -> MetricsFile:
         """metrics.csv, cut back to `env_steps`; what came later goes, an earlier score too."""
@@ -98,6 +109,7 @@ class Member:
         elif not what and broken - before > max(1.0, BROKEN_SHARE * self.config.environments):
             what = f"observations or rewards of {broken - before:,.0f} steps"
         if what:
+            self.checkpoints.wait()
             newest = self.checkpoints.newest()
             kept = f"the checkpoint at step {newest:,} stays" if newest else "no checkpoint was due"
             self.failure = DivergedError(f"{DIVERGED} at step {at:,} ({what}); {kept}")

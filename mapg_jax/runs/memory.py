@@ -21,7 +21,7 @@ def prepare(*configs: Config, devices: int | None = 1) -> Lockstep:
         shards cannot be on so many devices.
     """
     program = Lockstep(configs, devices)
-    needed, available = program.bytes, available_bytes()
+    needed, available = with_copy(program.bytes), available_bytes()
     if needed > available:
         together = f"{len(configs)} runs in lockstep need" if len(configs) > 1 else "the run needs"
         what, remedy = "", "fewer --environments"
@@ -39,6 +39,11 @@ def prepare(*configs: Config, devices: int | None = 1) -> Lockstep:
             f"choose {remedy}"
         )
     return program
+
+
+def with_copy(state: int) -> int:
+    """Bytes of a state, and of the copy that a checkpoint is written from where both are here."""
+    return 2 * state if jax.default_backend() == "cpu" else state
 
 
 def available_bytes() -> int:

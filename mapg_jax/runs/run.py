@@ -153,6 +153,7 @@ class Run:
                 stack.enter_context(lock)
             for member in working:
                 member.folder.write_host(host)
+                stack.callback(member.checkpoints.wait)  # whatever ends the run
             metrics = {
                 member.folder.path: stack.enter_context(
                     contextlib.closing(member.metrics_file(self.env_steps))
@@ -188,7 +189,7 @@ class Run:
             stop = watch.agreed_to_stop()
             due_to_save = hosts.of_first(watch.save_due(self.config.checkpoint_seconds))
             if self.finished or stop or due_to_save:
-                self._save(state, watch)
+                self._save(state, watch, wait=self.finished or stop)
                 stop = watch.agreed_to_stop()  # whoever is told of a checkpoint may ask for it
         watch.obey()
 
@@ -224,13 +225,19 @@ class Run:
                 watch.call(Event("evaluation", path, self.env_steps, row))
         watch.evaluated(next(iter(rows.values())), (self.last_turn - self.turn) / rate)
 
-    def _save(self, state: Any, watch: "_Watch") -> None:
-        """A checkpoint of each healthy run."""
+    def _save(self, state: Any, watch: "_Watch", wait: bool) -> None:
+        """A checkpoint of each healthy run, written beside the next chunks unless it is waited for.
+
+        Whoever is told of it may read it.
+        """
         state = hosts.gathered(state)
-        for k in self._healthy() if hosts.is_first() else ():
-            member = self.members[k]
-            member.save(self.program.plain_state(state, k), watch.seconds())
-            watch.call(Event("checkpoint", member.folder.path, self.env_steps, {}))
+        members = [self.members[k] for k in self._healthy()] if hosts.is_first() else []
+        for k, member in zip(self._healthy(), members, strict=False):
+            member.begin_to_save(self.program.plain_state(state, k), watch.seconds())
+        if wait or watch.callbacks:
+            for member in members:
+                member.checkpoints.wait()
+                watch.call(Event("checkpoint", member.folder.path, self.env_steps, {}))
         hosts.wait("saved")
         watch.saved = time.monotonic()
 
@@ -276,7 +283,7 @@ class _Watch:
         command: str,
     ):
         self.metrics, self._bar, self._command = metrics, bar, command
-        self._callbacks, self.signals = callbacks, signals
+        self.callbacks, self.signals = callbacks, signals
         self._started = self.saved = time.monotonic()
         self._learning = self._stopped = False
         self.chunk, self.interval = Pace(), Pace()
@@ -317,7 +324,7 @@ class _Watch:
 
     def call(self, event: Event) -> None:
         """Tells every callback."""
-        answers = [callback(event) for callback in self._callbacks]
+        answers = [callback(event) for callback in self.callbacks]
         self._stopped |= any(isinstance(x, bool | np.bool_) and bool(x) for x in answers)
 
 

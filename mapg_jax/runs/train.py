@@ -9,7 +9,7 @@ from typing import Any
 
 import jax
 
-from mapg_jax.runs import hosts
+from mapg_jax.runs import disk, hosts
 from mapg_jax.runs.finishing import finish
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.host import this_host
@@ -18,6 +18,7 @@ from mapg_jax.runs.run import Callback, Event, Run
 from mapg_jax.training.config import Config
 
 LOG = logging.getLogger(__name__)
+SMALLER = "a smaller --replay-size, fewer --checkpoints-kept or --no-save-replay"
 
 __all__ = ["Event", "Trained", "begin", "resume", "take_up", "train"]
 
@@ -97,6 +98,8 @@ def begin(config: Config, out: str | os.PathLike | None = None, devices: int | N
       ValueError: if the run cannot be made, before anything is written.
     """
     program = prepare(config, devices=devices)
+    place = pathlib.Path("runs" if out is None else out)
+    disk.refuse_a_full_disk(disk.run_bytes(program.trainer), place, 0, SMALLER)
     if out is None and jax.process_count() > 1:
         raise ValueError("several hosts need --out, a folder that all of them see")
     folder = hosts.by_first(
@@ -118,7 +121,10 @@ def take_up(path: str | os.PathLike, steps: int | None = None, devices: int | No
     locks = hosts.by_first(lambda: [folder.lock()], lambda: [])
     if steps is not None:
         folder = RunFolder(folder.path, dataclasses.replace(folder.config, steps=steps))
-    run = Run(prepare(folder.config, devices=devices), [folder], locks)
+    program = prepare(folder.config, devices=devices)
+    needed, taken = disk.run_bytes(program.trainer), disk.taken_bytes(folder.path)
+    disk.refuse_a_full_disk(needed, folder.path, taken, "another disk: copy the run folder there")
+    run = Run(program, [folder], locks)
     run.restore()
     if run.turn > run.last_turn:
         raise ValueError(

@@ -2,17 +2,16 @@
 
 import dataclasses
 import functools
-import os
 import pathlib
-import shutil
 from collections.abc import Collection, Hashable, Sequence
 from typing import Literal, NamedTuple
 
 import jax
 
 from envs.engines.simulators import cpus
+from mapg_jax.runs import disk
 from mapg_jax.runs.checkpoints import Checkpoints
-from mapg_jax.runs.memory import available_bytes
+from mapg_jax.runs.memory import available_bytes, with_copy
 from mapg_jax.training.config import Config
 from mapg_jax.training.lockstep import program_key
 from mapg_jax.training.trainer import Trainer, make_trainer, tree_bytes
@@ -101,7 +100,7 @@ def workers_that_fit(cut: Sequence[Group], wanted: int | None = None) -> int:
     on_cpu = jax.default_backend() == "cpu"
     accelerators = 1 if on_cpu else jax.local_device_count()  # alike, each with its memory
     largest = max(map(group_bytes, cut), default=0)
-    each = largest + (PROCESS_BYTES if on_cpu else 0)
+    each = with_copy(largest) + (PROCESS_BYTES if on_cpu else 0)
     fitting = accelerators * (available_bytes() // each) if each else 1
     workers = min(wanted or (cpus() if on_cpu else accelerators), len(cut) or 1)
     if fitting < (workers if wanted else 1):
@@ -117,37 +116,20 @@ def disk_bytes(cut: Sequence[Group], workers: int, keep_replay: bool) -> int:
     """The most that checkpoints can take: all those kept, and one being written, uncompressed."""
     running = finished = 0
     for group in cut:
-        kept = group[0].config.checkpoints_kept
-        running = max(running, (kept + 1) * group_bytes(group))
-        each = _run_bytes if keep_replay else _agent_bytes
-        finished += kept * len(group) * each(_largest(group))
+        config = _largest(group)
+        running = max(running, len(group) * disk.run_bytes(_of_any_seed(config)))
+        each = disk.checkpoint_bytes(_of_any_seed(config)) if keep_replay else _agent_bytes(config)
+        finished += config.checkpoints_kept * len(group) * each
     return workers * running + finished
 
 
 def refuse_a_full_disk(cut: Sequence[Group], workers: int, keep_replay: bool) -> None:
     """Raises ValueError if the checkpoints might not fit."""
+    needed = disk_bytes(cut, workers, keep_replay)
+    taken = sum(disk.taken_bytes(job.path) for group in cut for job in group)
     for out in {job.path.parent for group in cut for job in group}:
-        needed = disk_bytes(cut, workers, keep_replay)
-        free = free_bytes(out) + sum(_checkpoint_bytes(job.path) for group in cut for job in group)
-        if needed > free:
-            raise ValueError(
-                f"the checkpoints can take {needed / 1e9:.1f} GB, but the disk of {out} has "
-                f"{free / 1e9:.1f} GB left; choose fewer --workers or a smaller --replay-size"
-            )
-
-
-def _checkpoint_bytes(path: pathlib.Path) -> int:
-    """What the checkpoints of a run that was cut off take already: newer ones replace them."""
-    files = (path / "checkpoints").rglob("*")
-    return sum(file.stat().st_size for file in files if file.is_file())
-
-
-def free_bytes(path: pathlib.Path) -> int:
-    """Free space of the disk that a path, which need not exist, is or would be on."""
-    path = path.absolute()
-    while not path.exists():
-        path = path.parent
-    return shutil.disk_usage(os.fspath(path)).free
+        remedy = "fewer --workers or a smaller --replay-size"
+        disk.refuse_a_full_disk(needed, out, taken, remedy)
 
 
 def _size(alike: Sequence[Job], grouping: Grouping) -> int:
@@ -171,9 +153,13 @@ def _trainer(config: Config) -> Trainer:
     return make_trainer(config)
 
 
+def _of_any_seed(config: Config) -> Trainer:
+    return _trainer(dataclasses.replace(config, seed=0))
+
+
 def _run_bytes(config: Config) -> int:
-    return _trainer(dataclasses.replace(config, seed=0)).bytes
+    return _of_any_seed(config).bytes
 
 
 def _agent_bytes(config: Config) -> int:
-    return tree_bytes(_trainer(dataclasses.replace(config, seed=0)).shapes.agent)
+    return tree_bytes(_of_any_seed(config).shapes.agent)

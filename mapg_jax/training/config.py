@@ -162,6 +162,11 @@ class ReplayConfig(Config):
     learning_starts: int = option(100, "Environment steps before the first update.", at_least=0)
     replay_size: int = option(1_000_000, "C, transitions kept.", at_least=1)
     batch_size: int = option(64, "B, transitions per update.", at_least=1)
+    save_replay: bool = option(
+        True,
+        "Save the replay with every checkpoint; a run that goes on without fills it anew.",
+        host=True,
+    )
 
     def __post_init__(self):
         super().__post_init__()

@@ -60,6 +60,11 @@ def sample(state: ReplayState, key: PRNGKeyArray, n: int) -> Items:
     return jax.tree.map(lambda x: x[index], state.data)
 
 
+def emptied(state: ReplayState) -> ReplayState:
+    """The ring, or one a shard, as if nothing had been added."""
+    return state.replace(position=jnp.zeros_like(state.position), size=jnp.zeros_like(state.size))
+
+
 def trim(state: ReplayState) -> ReplayState:
     """The ring, or one a shard [S, ...], without slots that are empty in all, on the host."""
     size, shards = np.max(state.size), np.ndim(state.size)

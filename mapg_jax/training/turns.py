@@ -99,12 +99,18 @@ class ReplayTurn:
         whole = ~state.env.info["broken"]
         return state.replace(replay=replay.add(state.replay, transition, whole))
 
+    def _has_enough(self, state: TrainState) -> Bool[Array, ""]:
+        """Whether there is enough to begin, also after a run that was saved without its replay."""
+        starts = self.config.learning_starts
+        stored = shards.total(state.replay.size)
+        return (state.env_steps >= starts) & (stored >= min(starts, self.config.replay_size))
+
     def learn(
         self, state: TrainState, sample_key: PRNGKeyArray, update_key: PRNGKeyArray
     ) -> TrainState:
         """The updates that the steps so far have earned; their batches are drawn at once."""
         earned, cost = self.updates_ratio.as_integer_ratio()
-        learning = state.env_steps >= self.config.learning_starts
+        learning = self._has_enough(state)
         credit = state.update_credit + learning * self.config.environments * earned
         updates = credit // cost
 

@@ -41,7 +41,7 @@ def workplace(tmp_path, finished_run):
         "unknown": text.replace('"heads"', '"haeds"'),
         "typed": text.replace('"heads": 3', '"heads": "three"'),
         "listed": "[]",
-        "nested": '{"format": 4, "config": []}',
+        "nested": '{"format": 5, "config": []}',
         "older": '{"config": {"env": "pendulum"}}',
     }.items():
         (tmp_path / name).mkdir()
@@ -96,9 +96,9 @@ REFUSALS = [
     ("resume typed", "typed/config.json is damaged"),
     ("resume listed", "listed/config.json is damaged"),
     ("resume nested", "nested/config.json is damaged"),
-    ("resume older", "older is a run folder of format 1, and this version reads format 4"),
-    ("evaluate older", "older is a run folder of format 1, and this version reads format 4"),
-    ("report older", "older is a run folder of format 1, and this version reads format 4"),
+    ("resume older", "older is a run folder of format 1, and this version reads format 5"),
+    ("evaluate older", "older is a run folder of format 1, and this version reads format 5"),
+    ("report older", "older is a run folder of format 1, and this version reads format 5"),
     ("resume run --steps 0", "steps must be at least 1, got 0"),
     ("resume run --steps 100", "run has 800 steps already, more than 100; --steps with a larger"),
     ("resume held --steps 2000", "another process trains held"),

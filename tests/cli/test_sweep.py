@@ -173,10 +173,10 @@ def test_a_value_of_several_parts_is_written_as_in_train():
 
 
 def test_a_full_disk_is_refused(mapg, contents, monkeypatch):
-    monkeypatch.setattr(groups, "free_bytes", lambda path: 1_000_000)
+    monkeypatch.setattr(groups.disk, "free_bytes", lambda path: 1_000_000)
     status, out, err = mapg("sweep", "--out", "here")
     assert (status, out) == (2, "")
-    assert "has 0.0 GB left" in err
+    assert "has 1.0 MB left" in err
     assert not contents()
 
 

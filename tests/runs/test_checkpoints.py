@@ -61,6 +61,33 @@ def test_only_filled_slots_are_written(states, tmp_path):
         assert all(len(stored[name]) == filled for name in names)
 
 
+def test_what_is_written_is_what_was_there_when_it_began(trainer, states, tmp_path):
+    """Later chunks write over the buffers of the state."""
+    checkpoints = Checkpoints(tmp_path / "checkpoints", kept=2)
+    state = jax.tree.map(_own_buffer, states[1])
+    checkpoints.begin_to_save(state, {})
+    for leaf in jax.tree.leaves(state):
+        if isinstance(leaf, np.ndarray):
+            leaf.fill(0)
+    checkpoints.wait()
+    oracles.assert_equal(Checkpoints(tmp_path / "checkpoints").load(trainer.shapes)[0], states[1])
+
+
+def _own_buffer(leaf):
+    keys = jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+    return leaf if keys else np.array(leaf, copy=True)
+
+
+def test_what_cannot_be_written_is_said_when_it_is_waited_for(states, tmp_path):
+    path = tmp_path / "checkpoints"
+    checkpoints = Checkpoints(path, kept=2)
+    checkpoints.save(states[0], {})
+    shutil.rmtree(path)
+    path.write_text("no folder")
+    with pytest.raises(OSError, match="the checkpoint of step 1,200 cannot be written .*are whole"):
+        checkpoints.save(states[1], {})
+
+
 def test_the_newest_are_kept(states, tmp_path):
     checkpoints = Checkpoints(tmp_path / "checkpoints", kept=2)
     for steps in (10, 20, 30):

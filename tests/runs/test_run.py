@@ -12,6 +12,7 @@ import numpy as np
 import oracles
 import pytest
 
+from mapg_jax.runs import disk
 from mapg_jax.runs.checkpoints import Checkpoints
 from mapg_jax.runs.folder import RunFolder, write_json
 from mapg_jax.runs.member import DivergedError, Member
@@ -84,6 +85,36 @@ def test_resuming_equals_not_stopping(finished_run, tmp_path, upto):
     run.go()
     assert run.finished
     oracles.assert_same_run(folder, finished_run)
+
+
+def test_a_run_saved_without_its_replay_fills_it_before_it_learns(tmp_path, caplog):
+    """And learns again when it has what the first update needed."""
+    config = dataclasses.replace(oracles.RUN, save_replay=False, steps=400, learning_starts=100)
+    half = begin(config, tmp_path / "run")
+    half.go()
+    state = oracles.newest_state(half.folder)
+    assert (int(state.replay.size), int(state.replay.position)) == (0, 0)
+    assert not np.any(state.replay.data.reward)
+    updates = int(state.agent.learner.updates)
+    for steps, learns in ((496, False), (500, True)):
+        copied = oracles.copy_run(half.folder, tmp_path / str(steps))
+        run = take_up(copied.path, steps=steps)
+        run.go()
+        assert (int(oracles.newest_state(run.folder).agent.learner.updates) > updates) == learns
+    assert "was saved without its replay" in caplog.text
+
+
+def test_a_disk_without_room_for_the_checkpoints_is_refused(tmp_path, monkeypatch):
+    program = begin(oracles.RUN, tmp_path / "run").program
+    needed = disk.run_bytes(program.trainer)
+    monkeypatch.setattr(disk, "free_bytes", lambda path: needed - 1)
+    with pytest.raises(ValueError, match=r"the checkpoints can take .* choose .*--no-save-replay"):
+        begin(oracles.RUN, tmp_path / "another")
+    with pytest.raises(ValueError, match=r"the checkpoints can take .*; choose another disk"):
+        take_up(tmp_path / "run")
+    assert not (tmp_path / "another").exists()
+    monkeypatch.setattr(disk, "free_bytes", lambda path: needed)
+    begin(oracles.RUN, tmp_path / "another")
 
 
 def test_a_finished_run_goes_further(finished_run, tmp_path):

@@ -58,7 +58,7 @@ def test_checkpoints_that_are_there_count_as_room(tmp_path, monkeypatch):
     """A sweep that was stopped needs no more of the disk than when it began."""
     cut = [(jobs()[0]._replace(path=tmp_path / "run"),)]
     needed = module.disk_bytes(cut, 1, keep_replay=False)
-    monkeypatch.setattr(module, "free_bytes", lambda path: needed - 1000)
+    monkeypatch.setattr(module.disk, "free_bytes", lambda path: needed - 1000)
     with pytest.raises(ValueError, match="the checkpoints can take"):
         module.refuse_a_full_disk(cut, 1, keep_replay=False)
     (tmp_path / "run" / "checkpoints" / "400").mkdir(parents=True)
