@@ -6,7 +6,7 @@ import pathlib
 import sys
 import tempfile
 
-from benchmarks.torture import damages, hostile, kills
+from benchmarks.torture import damages, disks, hostile, kills, rivals
 from benchmarks.torture.tally import Tally
 
 
@@ -15,6 +15,8 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=6, help="scenarios, of three kills each")
     parser.add_argument("--damages", type=int, default=100, help="scenarios")
     parser.add_argument("--hostile", type=int, default=200, help="command lines")
+    parser.add_argument("--disks", type=int, default=3, help="scenarios; they need root")
+    parser.add_argument("--rivals", type=int, default=3, help="scenarios")
     arguments = parser.parse_args()
     logging.disable()  # what is set aside is said, and counted here
     tally, wrong = Tally(), 0
@@ -31,12 +33,15 @@ def main() -> None:
         first = tally.seeds("damage")
         for seed in range(first, first + arguments.damages):
             wrong += count("damage", *damages.scenario(seed))
-        first = tally.seeds("command line")
-        for seed in range(first, first + arguments.hostile):
-            wrong += count("command line", *hostile.scenario(seed, root))
-        first = tally.seeds("kill -9")
-        for seed in range(first, first + arguments.kills):
-            wrong += count("kill -9", *kills.scenario(seed, root))
+        for group, scenario, number in (
+            ("command line", hostile.scenario, arguments.hostile),
+            ("full disk", disks.scenario, arguments.disks),
+            ("several processes", rivals.scenario, arguments.rivals),
+            ("kill -9", kills.scenario, arguments.kills),
+        ):
+            first = tally.seeds(group)
+            for seed in range(first, first + number):
+                wrong += count(group, *scenario(seed, root))
     tally.write_page()
     print(f"\n{tally.table()}")
     sys.exit(1 if wrong else 0)

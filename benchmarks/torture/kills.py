@@ -39,17 +39,13 @@ def scenario(seed: int, root: pathlib.Path) -> tuple[str, str]:
     """Several kills; gives what was killed, and what came of it."""
     rng = np.random.default_rng(seed)
     name = list(RUNS)[seed % len(RUNS)]
-    whole, out = root / f"whole {name}", root / "killed"
-    if not whole.exists():
-        subprocess.run(command(name, whole), check=True, capture_output=True)
-        (root / f"seconds {name}").write_text(str(_seconds(command(name, root / "timed"))))
-        shutil.rmtree(root / "timed")
-    seconds = float((root / f"seconds {name}").read_text())
+    out = root / "killed"
+    whole, seconds = undisturbed(name, root)
     shutil.rmtree(out, ignore_errors=True)
     resume = [sys.executable, "-P", "-m", "mapg_jax", "resume", str(out)]
     for _ in range(KILLS):
         begun = out.exists() and any(out.rglob("config.json"))
-        _killed(resume if begun else command(name, out), rng.uniform(1, seconds), rng)
+        killed(resume if begun else command(name, out), rng.uniform(1, seconds), rng)
         if out.exists() and not any(out.rglob("config.json")):
             shutil.rmtree(out)  # it had not begun
     last = resume if out.exists() else command(name, out)
@@ -64,13 +60,23 @@ def scenario(seed: int, root: pathlib.Path) -> tuple[str, str]:
     return name, "equal to the last bit" if same else "DIFFERENT"
 
 
+def undisturbed(name: str, root: pathlib.Path) -> tuple[pathlib.Path, float]:
+    """The folder of what nobody killed, made once, and the seconds that it takes again."""
+    whole, clock = root / f"whole {name}", root / f"seconds {name}"
+    if not whole.exists():
+        subprocess.run(command(name, whole), check=True, capture_output=True)
+        clock.write_text(str(_seconds(command(name, root / "timed"))))
+        shutil.rmtree(root / "timed")
+    return whole, float(clock.read_text())
+
+
 def _seconds(argv: list[str]) -> float:
     begun = time.monotonic()
     subprocess.run(argv, check=True, capture_output=True)
     return time.monotonic() - begun
 
 
-def _killed(argv: list[str], seconds: float, rng: np.random.Generator) -> None:
+def killed(argv: list[str], seconds: float, rng: np.random.Generator) -> None:
     """Started, and killed with all that it started, or its workers alone."""
     process = subprocess.Popen(
         argv, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
