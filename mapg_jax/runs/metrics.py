@@ -1,15 +1,19 @@
 """The rows of a run: metrics.csv and TensorBoard, one row an evaluation."""
 
+import contextlib
 import hashlib
 import json
 import math
 import os
 import pathlib
+import time
 from collections.abc import Mapping
+from typing import Any
 
 from mapg_jax.runs import csv_file
 
 Row = Mapping[str, int | float]
+_START = {"status": 1}  # SessionLog.START: events of later steps, written before, are dropped
 
 
 class MetricsFile:
@@ -20,13 +24,17 @@ class MetricsFile:
 
     def __init__(self, path: pathlib.Path, env_steps: int = 0):
         """Goes on after `env_steps`; TensorBoard drops what it was told of later ones."""
-        import tensorboardX  # slow to import, and needed once a run
+        from tensorboardX import event_file_writer  # slow to import, and needed once a run
 
         self.path = path
-        self._writer = tensorboardX.SummaryWriter(str(path.parent), purge_step=env_steps + 1)
+        # Without tensorboardX's thread and queue a row is on the disk when it has been written.
+        self._events = event_file_writer.EventsWriter(str(path.parent / "events"))
+        self._tell(env_steps + 1, session_log=_START)
 
     def write(self, row: Row) -> None:
         """Appends a row, `env_steps` first; the first one writes the header."""
+        from tensorboardX import summary
+
         new = not self.path.exists()
         with self.path.open("a", newline="") as file:
             values = [_text(value) for value in row.values()]
@@ -35,11 +43,19 @@ class MetricsFile:
             os.fsync(file.fileno())
         for name, value in row.items():
             if name != "env_steps" and not math.isnan(value):  # it would warn at each
-                self._writer.add_scalar(name, value, int(row["env_steps"]))
-        self._writer.flush()  # else what was written in the last minutes dies with the process
+                self._tell(int(row["env_steps"]), summary=summary.scalar(name, value))
+        self._events.flush()
+
+    def _tell(self, step: int, **what: Any) -> None:
+        from tensorboardX.proto import event_pb2
+
+        event = event_pb2.Event(step=step, wall_time=time.time(), **what)
+        self._events.write_event(event)
 
     def close(self) -> None:
-        self._writer.close()
+        """A row that does not fit the disk is lost to TensorBoard alone."""
+        with contextlib.suppress(OSError):
+            self._events.close()
 
 
 def read_metrics(path: pathlib.Path) -> list[dict[str, float]]:
