@@ -46,9 +46,9 @@ def scenario(seed: int, root: pathlib.Path) -> tuple[str, str]:
         )  # fmt: skip
         if ended.returncode:
             return kind, f"FAILED: {ended.stderr.strip().splitlines()[-1][:100]}"
-        same = victim.ending(RunFolder.open(place / "run")) == victim.ending(RunFolder.open(whole))
         stopped = "stopped in a line" if process.returncode else "not full yet"
-        return kind, f"{stopped}; then equal to the last bit" if same else "DIFFERENT"
+        found, expected = (victim.ending(RunFolder.open(run)) for run in (place / "run", whole))
+        return kind, f"{stopped}; then equal to the last bit" if found == expected else "DIFFERENT"
 
 
 def _fill(file: pathlib.Path, room: int) -> None:
