@@ -1,4 +1,4 @@
-"""A disk that fills up while a run trains: it ends in a line, and goes on exactly with room again."""
+"""A disk that fills up while a run trains: it ends in a line, and goes on once there is room."""
 
 import contextlib
 import os

@@ -84,9 +84,7 @@ def test_what_cannot_be_written_is_said_when_it_is_waited_for(states, tmp_path):
     checkpoints.save(states[0], {})
     shutil.rmtree(path)
     path.write_text("no folder")
-    with pytest.raises(
-        OSError, match=r"the checkpoint of step 1,200 cannot be written .*are whole"
-    ):
+    with pytest.raises(OSError, match=r"of step 1,200 cannot be written .*are whole"):
         checkpoints.save(states[1], {})
 
 
