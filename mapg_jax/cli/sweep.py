@@ -8,7 +8,7 @@ import sys
 import typing
 from typing import Any, TextIO
 
-from mapg_jax.cli import fields
+from mapg_jax.cli import config_file, fields
 from mapg_jax.cli.console import complain, console, refuse_politely
 from mapg_jax.cli.main import parser
 from mapg_jax.runs.folder import RunFolder, is_blank
@@ -25,6 +25,7 @@ EXAMPLE = "Example: mapg sweep --env hopper --heads 1 5 10 20 50 --seeds 5 --out
 
 def parse(flags: list[str]) -> argparse.Namespace:
     """The arguments; a value a field is as many as are given."""
+    flags = config_file.expand(flags, several=True)
     name, algorithms = fields.settle(flags)
     command = parser("sweep", EXAMPLE)
     command.add_argument(
@@ -78,6 +79,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
         help="With --dry-run: time each program for a few seconds to predict the time.",
     )
     command.add_argument("--preset", default="paper", help="Where the defaults come from.")
+    config_file.add_argument(command)
     plugins.add_argument(command)
     fields.add(command, name, algorithms, several=True)
     fields.refuse_foreign_flags(command, flags, algorithms)

@@ -5,7 +5,7 @@ import pathlib
 import sys
 from typing import TextIO
 
-from mapg_jax.cli import fields
+from mapg_jax.cli import config_file, fields
 from mapg_jax.cli.console import complain, refuse_politely
 from mapg_jax.cli.main import parser
 from mapg_jax.cli.score import print_score
@@ -24,6 +24,7 @@ EXAMPLE = (
 
 def parse(flags: list[str]) -> argparse.Namespace:
     """The arguments; the other flags depend on --algorithm and --preset."""
+    flags = config_file.expand(flags)
     name, (algorithm, *_) = fields.settle(flags)
     command = parser("train", EXAMPLE)
     command.add_argument(
@@ -36,6 +37,12 @@ def parse(flags: list[str]) -> argparse.Namespace:
         type=pathlib.Path,
         help="Run folder, which must not exist or be empty; by default a free number under runs/.",
     )
+    command.add_argument(
+        "--print-config",
+        action="store_true",
+        help="Print the configuration as YAML, which --config reads, and train nothing.",
+    )
+    config_file.add_argument(command)
     add_devices(command)
     plugins.add_argument(command)
     fields.add(command, name, [algorithm], several=False)
@@ -77,8 +84,12 @@ def _all_or_number(text: str) -> int | None:
 
 def run(arguments: argparse.Namespace, out: TextIO) -> None:
     """Trains."""
-    join_hosts(arguments)
     given = fields.given(arguments)
+    if arguments.print_config:
+        config = refuse_politely(lambda: preset(arguments.preset, **given))
+        print(config_file.dump(config), end="", file=out)
+        return
+    join_hosts(arguments)
     under_way = refuse_politely(
         lambda: begin(preset(arguments.preset, **given), arguments.out, arguments.devices)
     )
