@@ -1,4 +1,4 @@
-"""The door: mapg train | sweep | resume | evaluate | draw | report | paper | envs."""
+"""The door: `mapg COMMAND`."""
 
 import contextlib
 import importlib
@@ -18,6 +18,7 @@ COMMANDS = {
     "resume": "Go on with a run or a sweep, as if it had not stopped.",
     "evaluate": "Score a run's newest checkpoint.",
     "draw": "Draw one episode of a run, where its environment draws.",
+    "export": "Write a policy that runs without this package.",
     "report": "Put finished runs side by side: tables with intervals over seeds, and pictures.",
     "paper": "Make a table or figure of the paper, and train the runs it lacks.",
     "envs": "List the environments.",
