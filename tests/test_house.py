@@ -84,6 +84,7 @@ ROOMS = {
         "pool",
         "table",
         "sweep",
+        "search",
     ),
     "reports": (
         "results",
@@ -104,6 +105,7 @@ ROOMS = {
         "score",
         "train",
         "sweep",
+        "search",
         "resume",
         "evaluate",
         "draw",

@@ -15,7 +15,8 @@ from mapg_jax.cli.parser import Parser
 COMMANDS = {
     "train": "Train a policy.",
     "sweep": "Train a grid of runs.",
-    "resume": "Go on with a run or a sweep, as if it had not stopped.",
+    "search": "Look for hyper-parameters.",
+    "resume": "Go on with a run, a sweep or a search, as if it had not stopped.",
     "evaluate": "Score a run's newest checkpoint.",
     "draw": "Draw one episode of a run, where its environment draws.",
     "export": "Write a policy that runs without this package.",

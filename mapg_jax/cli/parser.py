@@ -78,6 +78,15 @@ class _Joined(argparse.Action):
         setattr(namespace, self.dest, tuple(item for value in values or () for item in value))
 
 
+def value_of(hint: Any, text: str) -> Any:
+    """A text as a value of a type.
+
+    Raises:
+      argparse.ArgumentTypeError: if it is none.
+    """
+    return _one(hint)(text)
+
+
 def _one(hint: Any) -> Callable[[str], Any]:
     """A text as a value of that type."""
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)

@@ -5,7 +5,7 @@ import pathlib
 import sys
 from typing import TextIO
 
-from mapg_jax.cli import sweep
+from mapg_jax.cli import search, sweep
 from mapg_jax.cli.console import complain, refuse_politely
 from mapg_jax.cli.main import parser
 from mapg_jax.cli.train import add_devices, join_hosts, take_to_the_end
@@ -33,10 +33,12 @@ def parse(flags: list[str]) -> argparse.Namespace:
 def run(arguments: argparse.Namespace, out: TextIO) -> None:
     """Goes on."""
     path, steps = arguments.path, arguments.steps
+    if (path / "search.json").is_file():
+        _refuse_flags_of_runs(arguments, "search")
+        search.go_on(path, out)
+        return
     if SweepFolder.is_one(path):
-        of_runs = ("steps", "devices", "coordinator", "hosts", "host")
-        for name in (name for name in of_runs if getattr(arguments, name) is not None):
-            sys.exit(complain(f"{path} is a sweep; --{name} is for a run of it", 2))
+        _refuse_flags_of_runs(arguments, "sweep")
         sweep.go_on(path, out)
         return
     join_hosts(arguments)
@@ -51,3 +53,9 @@ def run(arguments: argparse.Namespace, out: TextIO) -> None:
         if folder.scored_steps() >= folder.config.steps:  # else it was cut off before its score
             return
     take_to_the_end(under_way, out)
+
+
+def _refuse_flags_of_runs(arguments: argparse.Namespace, what: str) -> None:
+    of_runs = ("steps", "devices", "coordinator", "hosts", "host")
+    for name in (name for name in of_runs if getattr(arguments, name) is not None):
+        sys.exit(complain(f"{arguments.path} is a {what}; --{name} is for a run of it", 2))
