@@ -2,6 +2,7 @@
 
 import json
 import shlex
+from typing import ClassVar
 
 import pytest
 
@@ -17,7 +18,7 @@ FLAGS = "search --preset smoke --heads 2 --workers 1 --out here --space"
 class FakeWorker:
     """Scores a run by its discount at once: at 100, 200, … steps, and at the end."""
 
-    begun: list = []
+    begun: ClassVar[list] = []
     ends = True
 
     def __init__(self, group, share, keep_replay, launcher):
