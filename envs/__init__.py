@@ -13,6 +13,7 @@ from envs.registry import EnvSpec, make, names, register, spec
 
 if TYPE_CHECKING:
     from envs.base import Env, State, with_episodes
+    from envs.frames import Painter
     from envs.mujoco_tasks.task import MujocoTask
     from envs.recording import Episode, Player
     from envs.scored import ScoredMetric
@@ -22,6 +23,7 @@ __all__ = [
     "EnvSpec",
     "Episode",
     "MujocoTask",
+    "Painter",
     "Player",
     "ScoredMetric",
     "State",
@@ -40,6 +42,7 @@ _LATER = {
     "with_episodes": "envs.base",
     "MujocoTask": "envs.mujoco_tasks.task",
     "Episode": "envs.recording",
+    "Painter": "envs.frames",
     "Player": "envs.recording",
     "ScoredMetric": "envs.scored",
 }

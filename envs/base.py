@@ -22,6 +22,7 @@ with contextlib.redirect_stdout(None):  # importing brax.envs prints what its ba
     import brax.envs.base
     from brax.envs.base import State, Wrapper
 
+from envs.frames import Painter
 from envs.recording import Episode, Player
 from envs.scored import ScoredMetric
 
@@ -62,6 +63,15 @@ class Env(brax.envs.base.Env):
           NotImplementedError: if the environment has no drawing.
         """
         raise NotImplementedError(f"{type(self).__name__} has no drawing of its episodes")
+
+    def painter(self, width: int, height: int) -> Painter:
+        """Draws physics states as RGB pictures; not every environment can.
+
+        Raises:
+          NotImplementedError: if the environment has no pictures.
+          ValueError: if there is nothing to draw with.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no pictures of its states")
 
     def clipped(self, action: Action) -> Float32[jax.Array, "A"]:
         """The action as a step takes it.

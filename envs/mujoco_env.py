@@ -8,6 +8,7 @@ import numpy as np
 from envs.base import Action, Env, State
 from envs.engines.mjx import MjxEngine
 from envs.engines.native import NativeEngine
+from envs.frames import Painter, mujoco_painter
 from envs.mujoco_tasks.restriction import scaled
 from envs.mujoco_tasks.task import MujocoTask
 
@@ -77,6 +78,9 @@ class MujocoEnv(Env):
     def mj_data(self, state: State) -> mujoco.MjData:
         """A `mujoco.MjData` of one instance, for drawing and inspection."""
         return self.engine.mj_data(state.pipeline_state)
+
+    def painter(self, width: int, height: int) -> Painter:
+        return mujoco_painter(self.task.model, self.engine.mj_data, width, height)
 
     def _first(self, pipeline_state, outcome) -> State:
         own = {"valid": jnp.zeros(())} if self._balls else {}

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float32, Float64
 
 from envs.base import Action, Env, State
+from envs.frames import Canvas, Painter, Picture
 
 DT, MASS, LENGTH = 0.05, 1.0, 1.0  # s, kg, m
 MAX_SPEED = 8.0  # rad/s
@@ -77,6 +78,20 @@ class Pendulum(Env):
                 reward=-cost.astype(jnp.float32),
                 done=jnp.zeros((), jnp.float32),
             )
+
+    def painter(self, width: int, height: int) -> Painter:
+        """The rod, upright where the angle is 0."""
+
+        def paint(bits: Any) -> Picture:
+            angle = np.ascontiguousarray(bits).view(np.float64)[0, 0]
+            tip = np.array([-np.sin(angle), np.cos(angle)]) * LENGTH
+            canvas = Canvas((-1.3, -1.3), (1.3, 1.3), width, height)
+            canvas.line([np.zeros(2), tip], "#b3402a", 0.2)
+            canvas.disc(tip, 0.1, "#b3402a")
+            canvas.disc(np.zeros(2), 0.05, "black")
+            return canvas.picture()
+
+        return paint
 
 
 def _to_bits(values: Float64[Array, "2"]) -> Any:

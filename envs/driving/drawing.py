@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from envs.driving.sensors import KMH
 from envs.driving.tracks import Track
+from envs.frames import Canvas, Picture
 
 FRAMES_PER_SECOND = 25.0
 PLAYER = Path(__file__).with_name("player.html")
@@ -94,3 +95,33 @@ def _road(track: Track):
 def _bounds(track: Track):
     edges = np.concatenate([track.left, track.right])
     return edges.min(0), edges.max(0)
+
+
+def picture_of_car(
+    track: Track, x: float, y: float, heading: float, width: int, height: int
+) -> Picture:
+    """The car and 25 m of road each way, from above.
+
+    Args:
+      track: that it is on.
+      x: m.
+      y: m.
+      heading: rad.
+      width: of the picture, in pixels.
+      height: likewise.
+    """
+    centre, half = np.array([x, y]), 25.0 * np.array([width, height]) / min(width, height)
+    canvas = Canvas(centre - half, centre + half, width, height)
+    left, right = np.asarray(track.left), np.asarray(track.right)
+    following = [np.roll(edge, -1, axis=0) for edge in (left, right)]
+    near = np.linalg.norm((left + right) / 2 - centre, axis=-1) < 2 * half.max()
+    for corners in np.stack([left, following[0], following[1], right], 1)[near]:
+        canvas.polygon(corners, "#c8c8c8")
+    canvas.line([left[0], right[0]], "black", 1.0)
+    forward = np.array([np.cos(heading), np.sin(heading)])
+    aside = np.array([-forward[1], forward[0]])
+    box = [
+        4.6 / 2 * a * forward + 1.9 / 2 * b * aside for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))
+    ]
+    canvas.polygon(centre + np.array(box), "#b3402a")
+    return canvas.picture()

@@ -15,13 +15,14 @@ from envs.base import Action, Env, State
 from envs.driving import bank as banks
 from envs.driving import sensors as sensing
 from envs.driving.bank import Place
-from envs.driving.drawing import animate, draw_line
+from envs.driving.drawing import animate, draw_line, picture_of_car
 from envs.driving.loaders import load_track
 from envs.driving.powertrain import engine_speed
 from envs.driving.rewards import REWARDS, Motion, progress_kmh
 from envs.driving.sensors import KMH
 from envs.driving.tracks import Track
 from envs.driving.vehicle import WHEEL_X, WHEEL_Y, Car, at_rest, step_car, wrap
+from envs.frames import Painter, Picture
 from envs.recording import Episode, Player
 from envs.scored import ScoredMetric
 
@@ -208,6 +209,17 @@ class Driving(Env):
         draw_line(track, positions, states.speed, picture)
         animate(track, positions, states.heading, states.speed, self.dt, animation)
         return [picture, animation]
+
+    def painter(self, width: int, height: int) -> Painter:
+        """The road about the car, from above."""
+
+        def paint(drive: Drive) -> Picture:
+            return picture_of_car(
+                self.tracks[int(drive.track)], float(drive.x), float(drive.y),
+                float(drive.heading), width, height,
+            )  # fmt: skip
+
+        return paint
 
     def _move(self, drive: Drive, steer, accelerator, brake) -> Drive:
         """The car after the physics steps of one control step."""

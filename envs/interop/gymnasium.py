@@ -13,6 +13,8 @@ from envs import registry
 from envs.base import Env, State, with_episodes
 
 LARGEST_SEED = 2**31
+PICTURE = 480
+"""Pixels, of a side."""
 
 
 class SingleEnv(gymnasium.Env):
@@ -20,15 +22,21 @@ class SingleEnv(gymnasium.Env):
 
     Args:
       name: of `envs.make`.
-      render_mode: None; nothing is drawn step by step.
+      render_mode: None, or rgb_array: `render` gives a picture of the state.
       **options: `engine`, and the options of the task.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 20}
 
     def __init__(self, name: str, render_mode: str | None = None, **options: Any):
-        _refuse_to_render(name, render_mode)
         self._env = registry.make(name, **options)
+        self.render_mode, self._paint = render_mode, None
+        if render_mode is not None:
+            if render_mode != "rgb_array" or type(self._env).painter is Env.painter:
+                _refuse_to_render(name, render_mode)
+            self._paint = self._env.painter(PICTURE, PICTURE)
+        if hasattr(self._env, "dt"):
+            self.metadata = {**self.metadata, "render_fps": round(1 / self._env.dt)}
         self.observation_space, self.action_space = spaces(self._env)
         self._reset, self._step = jax.jit(self._env.reset), jax.jit(self._env.step)
         self._state: Any = None  # before the first reset
@@ -47,6 +55,14 @@ class SingleEnv(gymnasium.Env):
         )
         info = {name: float(value) for name, value in metrics.items()}
         return _observation(self._state), float(reward), bool(done), False, info
+
+    def render(self):
+        """A picture of the state, [H, W, 3] uint8, by `render_mode="rgb_array"`; else None."""
+        if self._paint is None:
+            return None
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("call reset before the first picture")
+        return self._paint(jax.device_get(self._state.pipeline_state))
 
 
 class VectorEnv(gymnasium.vector.VectorEnv):

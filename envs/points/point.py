@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float32
 
 from envs.base import Action, Env, State
+from envs.frames import Canvas, Painter, Picture
 from envs.points.drawing import Plane, animate, draw
 from envs.recording import Episode, Player
 
@@ -83,6 +84,22 @@ class Point(Env):
         distance = jnp.linalg.norm(place[None] - self.goals, axis=-1)
         nearest = jnp.argmin(distance)
         return jnp.where(distance[nearest] < self.radius, nearest + 1, 0).astype(jnp.float32)
+
+    def painter(self, width: int, height: int) -> Painter:
+        """The point, the goals and the walls."""
+        plane = self.plane
+
+        def paint(place: Any) -> Picture:
+            canvas = Canvas(plane.low, plane.high, width, height)
+            half = plane.wall_size / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+            for wall in plane.walls:
+                canvas.polygon(wall + half, "#777777")
+            for goal in plane.goals:
+                canvas.disc(goal, plane.radius, "#7ec29b")
+            canvas.disc(np.asarray(place), 0.015 * max(plane.high - plane.low), "#b3402a")
+            return canvas.picture()
+
+        return paint
 
     def render(self, episodes: Sequence[Episode], player: Player, folder: Path) -> list[Path]:
         """The paths over the critic's values as paths.png, and moving as paths.html."""

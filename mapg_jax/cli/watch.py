@@ -1,0 +1,55 @@
+"""mapg watch: a video of a run's newest policy."""
+
+import argparse
+import importlib.util
+import pathlib
+from typing import TextIO
+
+from mapg_jax.cli.console import refuse_politely
+from mapg_jax.cli.main import parser
+from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.video import film
+from mapg_jax.training import plugins
+
+
+def parse(flags: list[str]) -> argparse.Namespace:
+    """The arguments."""
+    command = parser(
+        "watch",
+        "Beside the picture stand the M proposals of each state, coloured by head, the action "
+        "taken as a ring, and the critic's value of each proposal.",
+    )
+    command.add_argument("path", type=pathlib.Path, help="Run folder.")
+    command.add_argument(
+        "--out",
+        type=pathlib.Path,
+        help="The video, .mp4 or .gif; by default video.mp4 in the run folder, or video.gif where "
+        "mp4 cannot be written.",
+    )
+    command.add_argument("--steps", type=int, default=300, help="Of an episode, at most.")
+    command.add_argument("--episodes", type=int, default=1, help="One after the other.")
+    command.add_argument(
+        "--select", default="uniform", help="How one action is made of the M proposals."
+    )
+    command.add_argument("--seed", type=int, default=0, help="Of the starts and the heads.")
+    plugins.add_argument(command)
+    arguments = command.parse(flags)
+    plugins.load(arguments.imports)
+    return arguments
+
+
+def run(arguments: argparse.Namespace, out: TextIO) -> None:
+    """Films."""
+    mp4 = importlib.util.find_spec("imageio_ffmpeg") is not None
+    file = arguments.out or arguments.path / ("video.mp4" if mp4 else "video.gif")
+    written = refuse_politely(
+        lambda: film(
+            RunFolder.open(arguments.path),
+            file,
+            steps=arguments.steps,
+            episodes=arguments.episodes,
+            seed=arguments.seed,
+            select=arguments.select,
+        )
+    )
+    print(written, file=out)
