@@ -145,7 +145,8 @@ def untrained_run(config: Config, path: pathlib.Path) -> RunFolder:
     state = run.trainer.jitted_init(config.seed)
     if state.replay is not None:
         state = state.replace(replay=state.replay.replace(size=jnp.int32(1)))
-    run.members[0].save(state, 0.0)
+    run.members[0].begin_to_save(state, 0.0)
+    run.members[0].checkpoints.wait()
     return run.folder
 
 
