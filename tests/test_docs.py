@@ -1,8 +1,10 @@
-"""The examples of docs/extending.md, as a reader would run them."""
+"""The examples of docs/extending.md and of the README, as a reader would run them."""
 
+import importlib
 import os
 import pathlib
 import re
+import shlex
 import subprocess
 import sys
 
@@ -48,3 +50,25 @@ def test_the_algorithm_trains_sweeps_and_keeps_the_contract(folder, quick_compil
 def test_an_example_in_python_runs(text, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     exec(compile(text, str(PAGE), "exec"), {})
+
+
+README = (PAGE.parent.parent / "README.md").read_text()
+SNIPPETS = re.findall(r"```python\n(.*?)```", README, re.S)
+
+
+@pytest.mark.parametrize("text", SNIPPETS)
+def test_a_snippet_of_the_readme_runs(text, tmp_path, monkeypatch, quick_compilation):
+    """With fewer steps, and a run to load where it begins with one that the reader has."""
+    monkeypatch.chdir(tmp_path)
+    short = re.sub(r"steps=[\d_]+", "steps=400, evaluate_every=400, final_episodes=2", text)
+    exec(compile(short, "README.md", "exec"), {})
+
+
+COMMANDS = re.findall(r"^    (mapg (?!paper|envs).*?)(?:  +#.*)?$", README, re.M)
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_a_command_of_the_readme_is_understood(line):
+    """Its flags are those of the command; what it needs beside them may not be there."""
+    name, *flags = shlex.split(line.partition(" > ")[0])[1:]
+    importlib.import_module(f"mapg_jax.cli.{name}").parse(flags)
