@@ -43,6 +43,12 @@ class Env(brax.envs.base.Env):
     """Lowest and highest, each a number or [D]."""
     drawn_episodes: int = 1
     """How many episodes a drawing shows."""
+    saved: bool = True
+    """Whether a state holds all of an episode: else a run that goes on begins its episodes anew."""
+
+    def limited(self, time_limit: int) -> "Env":
+        """This environment, told how long its episodes can be; most need not know."""
+        return self
 
     @property
     @abc.abstractmethod
@@ -148,8 +154,10 @@ class Episodes(Wrapper, Env):
     def __init__(self, env: Env, time_limit: int):
         if time_limit < 1:
             raise ValueError(f"time_limit must be at least 1 step, got {time_limit}")
+        env = env.limited(time_limit)
         super().__init__(env)
         self.env: Env = env
+        self.saved = env.saved
         self.time_limit = time_limit
         # What `Env` has a default for, the wrapper would otherwise not look up in `env`.
         self.scored_metrics, self.drawn_episodes = env.scored_metrics, env.drawn_episodes

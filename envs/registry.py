@@ -14,7 +14,7 @@ from envs.values import fits
 if TYPE_CHECKING:  # at run time each is imported where an environment is made: see `envs`
     from envs.base import Env
 
-BRAX = "brax:"
+BRAX, GYMNASIUM = "brax:", "gym:"
 ENTRY_POINTS = "mapg_jax.envs"
 """The group in which an installed package names its environments."""
 PHYSICS_ENGINES = ("native", "mjx")
@@ -80,7 +80,10 @@ def register(
 
 
 def names() -> tuple[str, ...]:
-    """The names that `make` takes, besides `brax:<name>`; installed packages' are not loaded."""
+    """The names that `make` takes, besides `brax:<name>` and `gym:<name>`.
+
+    Those of installed packages are not loaded.
+    """
     return tuple(dict.fromkeys([*_SPECS, *_entry_points()]))
 
 
@@ -100,12 +103,18 @@ def spec(name: str) -> EnvSpec:
 
         constructor = brax.constructor(name.removeprefix(BRAX))
         return EnvSpec(name, ("jax",), None, brax.TIME_LIMIT, constructor)
+    if name.startswith(GYMNASIUM):
+        from envs.interop import hosted
+
+        own = name.removeprefix(GYMNASIUM)
+        make, limit = hosted.constructor(own), hosted.time_limit(own)
+        return EnvSpec(name, ("gymnasium",), own, limit, make)
     if name not in _SPECS:
         found = _entry_points()
         if name not in found:
             raise ValueError(
                 f"unknown environment {name!r}; known are {', '.join(names())}, "
-                f"and {BRAX}<name> for those of Brax"
+                f"{BRAX}<name> for those of Brax and {GYMNASIUM}<name> for those of Gymnasium"
             )
         _load(found[name])
     return _SPECS[name]
@@ -115,7 +124,7 @@ def make(name: str, /, engine: str = "auto", **options: Any) -> "Env":
     """The bare task `name`: `done` is termination only; no time limit and no automatic reset.
 
     Args:
-      name: one of `names()`, or `brax:<name>` for one of Brax's.
+      name: one of `names()`, `brax:<name>` for one of Brax's, or `gym:<name>` for Gymnasium's.
       engine: a physics engine; "auto" takes MuJoCo's C engine where JAX runs on a CPU, else MJX.
       **options: the constructor arguments of the task, Gymnasium's where it equals one of them.
 
@@ -142,6 +151,8 @@ def _default_engine(spec: EnvSpec) -> str:
 def _check_options(
     name: str, parameters: Mapping[str, inspect.Parameter], options: Mapping[str, Any]
 ) -> None:
+    if name.startswith(GYMNASIUM):  # whose constructors say what they take
+        return
     known = {k: p for k, p in parameters.items() if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)}
     for option, value in options.items():
         if option not in known:

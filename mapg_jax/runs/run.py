@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import logging
 import math
 import pathlib
 import threading
@@ -25,6 +26,7 @@ from mapg_jax.runs.signals import ABANDONED, StoppedError
 from mapg_jax.training.lockstep import Lockstep
 from mapg_jax.training.trainer import Trainer
 
+LOG = logging.getLogger(__name__)
 CHUNK_SECONDS = 1.0  # how often the host looks up
 
 
@@ -119,7 +121,11 @@ class Run:
         """The state of a member alone; an idle one's is of no use, and may be any."""
         if k in self._idle:
             return self.program.plain_state(self._fresh, k)
-        return self.members[k].load(self.program.plain_shapes(k), step)
+        state = self.members[k].load(self.program.plain_shapes(k), step)
+        if self.trainer.env.saved:
+            return state
+        LOG.warning("%s: the episodes under way begin anew", self.members[k].folder.path)
+        return self.trainer.restarted(state)
 
     @functools.cached_property
     def _fresh(self) -> Any:

@@ -64,7 +64,7 @@ def names(cells: Sequence[Config], values: Values) -> list[str]:
 
 
 def _name(cell: Config, varied: Sequence[str]) -> str:
-    parts = [cell.env.replace(":", "-")]
+    parts = [cell.env.replace(":", "-").replace("/", "-")]
     for field in varied:
         if field == "algorithm":
             parts.append(cell.algorithm)

@@ -20,7 +20,7 @@ class Config(Options):
     refuses those of others. The defaults are the preset `paper`.
     """
 
-    env: str = option("pendulum", "Environment: a name of `mapg envs`, or brax:NAME.")
+    env: str = option("pendulum", "Environment: a name of `mapg envs`, brax:NAME or gym:NAME.")
     env_options: tuple[str, ...] = option((), "Options of the environment, as name=value.")
     engine: str = option(
         "auto",

@@ -79,6 +79,17 @@ class Trainer:
         )
         return self.layout.over_shards(self.turn.begin)(state)
 
+    def restarted(self, state: TrainState) -> TrainState:
+        """`state` at the beginning of new episodes: where theirs could not be saved."""
+        n = self.config.environments
+        keys = jax.random.split(jax.random.fold_in(state.key, 0), n)
+        env = jax.jit(jax.vmap(self.env.reset))(keys)
+        return state.replace(
+            env=self._by_shard(jax.tree.map(jnp.copy, env)),  # each to be donated once
+            explorer=self._by_shard(self.agent.algorithm.explorer(n)),
+            running_return=jnp.zeros_like(state.running_return),
+        )
+
     def _by_shard(self, tree: Any) -> Any:
         """Leaves [N, ...] as [S, N / S, ...]; of one shard as they are."""
         s = self.layout.shards
@@ -148,13 +159,14 @@ def make_trainer(config: Config, devices: int | None = 1) -> Trainer:
       ValueError: if the environment cannot be made, or the shards cannot be on so many devices.
     """
     env = envs.with_episodes(config.make_env(), config.episode_steps())
-    on_one = env.backend == "native"  # whose calls of the host are in no order among devices
+    # Calls of the host are in no order among devices.
+    on_one = env.backend in ("native", "gymnasium")
     if devices is None:
         devices = 1 if on_one else most_devices(config.shards)
     if on_one and devices > 1:
         raise ValueError(
-            f"{config.env} on MuJoCo's C engine runs on one device; choose --devices 1 or "
-            "--engine mjx"
+            f"{config.env} is stepped on the host ({env.backend}) and runs on one device; choose "
+            "--devices 1, or --engine mjx where there is one"
         )
     agent = make_agent(config, env.action_size)
     return Trainer(config, env, agent, Layout(config.shards, devices))
