@@ -83,10 +83,11 @@ class Trainer:
         """`state` at the beginning of new episodes: where theirs could not be saved."""
         n = self.config.environments
         keys = jax.random.split(jax.random.fold_in(state.key, 0), n)
-        env = jax.jit(jax.vmap(self.env.reset))(keys)
+        fresh = jax.vmap(self.env.reset)(keys), self.agent.algorithm.explorer(n)
+        env, explorer = jax.tree.map(jnp.copy, fresh)  # each buffer is donated, once
         return state.replace(
-            env=self._by_shard(jax.tree.map(jnp.copy, env)),  # each to be donated once
-            explorer=self._by_shard(self.agent.algorithm.explorer(n)),
+            env=self._by_shard(env),
+            explorer=self._by_shard(explorer),
             running_return=jnp.zeros_like(state.running_return),
         )
 
