@@ -15,6 +15,8 @@ Picture = UInt8[np.ndarray, "H W 3"]
 Painter = Callable[[Any], Picture]
 """Of a physics state, `State.pipeline_state` of one instance."""
 
+FARTHEST = 3.5
+"""Metres, of the camera: floors and rails make some models larger than what moves."""
 HELP = (
     "MuJoCo cannot draw here without a display: install a software renderer (Debian: libosmesa6) "
     "and set MUJOCO_GL=osmesa, or with a GPU MUJOCO_GL=egl"
@@ -40,7 +42,8 @@ def mujoco_painter(
     camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
     camera.trackbodyid = 1  # 0 is the world
-    camera.distance, camera.elevation, camera.azimuth = model.stat.extent * 1.1, -15.0, 90.0
+    camera.distance = min(1.1 * model.stat.extent, FARTHEST)
+    camera.elevation, camera.azimuth = -15.0, 90.0
     try:
         renderer = _renderer(model, height, width)
     except Exception as error:  # OpenGL's bindings raise many kinds

@@ -99,7 +99,7 @@ def panel(proposals: np.ndarray, values: np.ndarray, action: np.ndarray) -> np.n
         x = across(action[d])
         draw.ellipse((x - 5, y - 5, x + 5, y + 5), outline="black", width=2)
     top = int(38 + gap * dimensions + 16)
-    draw.text((left, top), f"their values Q, {values.min():.3g} to {values.max():.3g}", "black")
+    draw.text((left, top), f"their values Q, {values.min():.5g} to {values.max():.5g}", "black")
     spread = max(float(values.max() - values.min()), 1e-9)
     height = min(18.0, (SIZE - top - 34) / heads)
     for m in range(heads):
