@@ -70,6 +70,7 @@ ROOMS = {
         "finishing",
         "member",
         "run",
+        "trackers",
         "train",
     ),
     "sweeps": (

@@ -9,6 +9,7 @@ from mapg_jax.cli import search, sweep
 from mapg_jax.cli.console import complain, refuse_politely
 from mapg_jax.cli.main import parser
 from mapg_jax.cli.train import add_devices, join_hosts, take_to_the_end
+from mapg_jax.runs import trackers
 from mapg_jax.runs.train import take_up
 from mapg_jax.sweeps.folder import SweepFolder
 from mapg_jax.training import plugins
@@ -23,6 +24,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
         type=int,
         help="A new total of environment steps, to train a finished run further.",
     )
+    command.add_argument("--track", nargs="+", default=(), help="Trackers, as of mapg train.")
     add_devices(command)
     plugins.add_argument(command)
     arguments = command.parse(flags)
@@ -41,6 +43,7 @@ def run(arguments: argparse.Namespace, out: TextIO) -> None:
         _refuse_flags_of_runs(arguments, "sweep")
         sweep.go_on(path, out)
         return
+    refuse_politely(lambda: trackers.refuse_missing(arguments.track))
     join_hosts(arguments)
     under_way = refuse_politely(lambda: take_up(path, steps, arguments.devices))
     if under_way.finished:
@@ -52,7 +55,7 @@ def run(arguments: argparse.Namespace, out: TextIO) -> None:
         folder = under_way.folder
         if folder.scored_steps() >= folder.config.steps:  # else it was cut off before its score
             return
-    take_to_the_end(under_way, out)
+    take_to_the_end(under_way, out, arguments.track)
 
 
 def _refuse_flags_of_runs(arguments: argparse.Namespace, what: str) -> None:

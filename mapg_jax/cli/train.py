@@ -3,14 +3,16 @@
 import argparse
 import pathlib
 import sys
+from collections.abc import Sequence
 from typing import TextIO
 
 from mapg_jax.cli import config_file, fields
 from mapg_jax.cli.console import complain, refuse_politely
 from mapg_jax.cli.main import parser
 from mapg_jax.cli.score import print_score
-from mapg_jax.runs import hosts
+from mapg_jax.runs import hosts, trackers
 from mapg_jax.runs.finishing import finish
+from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.run import Run
 from mapg_jax.runs.signals import caught_signals
 from mapg_jax.runs.train import begin
@@ -41,6 +43,13 @@ def parse(flags: list[str]) -> argparse.Namespace:
         "--print-config",
         action="store_true",
         help="Print the configuration as YAML, which --config reads, and train nothing.",
+    )
+    command.add_argument(
+        "--track",
+        nargs="+",
+        default=(),
+        metavar="|".join(trackers.NAMES),
+        help="Trackers that are told of every evaluation; TensorBoard always is.",
     )
     config_file.add_argument(command)
     add_devices(command)
@@ -89,19 +98,25 @@ def run(arguments: argparse.Namespace, out: TextIO) -> None:
         config = refuse_politely(lambda: preset(arguments.preset, **given))
         print(config_file.dump(config), end="", file=out)
         return
+    refuse_politely(lambda: trackers.refuse_missing(arguments.track))
     join_hosts(arguments)
     under_way = refuse_politely(
         lambda: begin(preset(arguments.preset, **given), arguments.out, arguments.devices)
     )
-    take_to_the_end(under_way, out)
+    take_to_the_end(under_way, out, arguments.track)
 
 
-def take_to_the_end(run: Run, out: TextIO) -> None:
-    """Trains and scores, with a bar, obeying signals."""
-    if not run.finished:
-        with caught_signals() as signals:
-            run.go(signals=signals, progress=True)
+def take_to_the_end(run: Run, out: TextIO, track: Sequence[str] = ()) -> None:
+    """Trains and scores, with a bar, obeying signals; trackers hear of it."""
     folder = run.folder
+    with trackers.tracking(folder, track if hosts.is_first() else ()) as callbacks:
+        if not run.finished:
+            with caught_signals() as signals:
+                run.go(callbacks, signals=signals, progress=True)
+        _score(folder, out)
+
+
+def _score(folder: RunFolder, out: TextIO) -> None:
     if not hosts.is_first():
         hosts.wait("scored")
         return
