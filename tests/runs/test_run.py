@@ -223,7 +223,9 @@ def test_divergence_keeps_the_last_checkpoint(finished_run, tmp_path):
     hyper = good.agent.hyper.replace(critic_learning_rate=jnp.float32(1e30))
     bad = good.replace(agent=good.agent.replace(hyper=hyper))
     shutil.rmtree(folder.checkpoints / "64")
-    Member(folder).save(bad, 0.0)
+    member = Member(folder)
+    member.begin_to_save(bad, 0.0)
+    member.checkpoints.wait()
     with pytest.raises(DivergedError, match=r"at step 68 \(.+\); the checkpoint at step 64 stays"):
         take_up(folder.path).go()
     oracles.assert_equal(oracles.newest_state(folder), bad)
