@@ -155,7 +155,28 @@ def _left_of(start, end, x, y):
 def point(
     bank: TrackBank, track: Int[Array, ""] | int, s: Float[Array, ""]
 ) -> tuple[Int[Array, ""], Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
-    """The cell, x m, y m and heading rad of the centre line at s, found by bisection."""
+    """The cell, x m, y m and heading rad of the centre line at s."""
+    cell = _cell_at(bank, track, s)
+    first = bank.first[track]
+    line = jax.lax.dynamic_slice(bank.line, (first + cell, 0), (2, 2))
+    edges = jax.lax.dynamic_slice(bank.edges, (first + cell, 0), (2, 4))
+    share = (s - line[0, 1]) / (line[1, 1] - line[0, 1])
+    left_x, left_y, right_x, right_y = edges[0] + share * (edges[1] - edges[0])
+    heading = line[0, 0] + share * (line[1, 0] - line[0, 0])
+    return cell, (left_x + right_x) / 2, (left_y + right_y) / 2, heading
+
+
+def curvature(
+    bank: TrackBank, track: Int[Array, ""] | int, s: Float[Array, ""]
+) -> Float[Array, ""]:
+    """1/m of the centre line at s, which may lie laps ahead; to the left is positive."""
+    cell = _cell_at(bank, track, s % bank.length[track])
+    line = jax.lax.dynamic_slice(bank.line, (bank.first[track] + cell, 0), (2, 2))
+    return (line[1, 0] - line[0, 0]) / (line[1, 1] - line[0, 1])
+
+
+def _cell_at(bank: TrackBank, track, s):
+    """The cell of the centre line at s of one lap, by bisection."""
     first = bank.first[track]
 
     def halve(_, bounds):
@@ -166,10 +187,4 @@ def point(
 
     bounds = (jnp.zeros_like(first), bank.count[track])
     halvings = int(bank.line.shape[0]).bit_length()
-    cell, _ = jax.lax.fori_loop(0, halvings, halve, bounds)
-    line = jax.lax.dynamic_slice(bank.line, (first + cell, 0), (2, 2))
-    edges = jax.lax.dynamic_slice(bank.edges, (first + cell, 0), (2, 4))
-    share = (s - line[0, 1]) / (line[1, 1] - line[0, 1])
-    left_x, left_y, right_x, right_y = edges[0] + share * (edges[1] - edges[0])
-    heading = line[0, 0] + share * (line[1, 0] - line[0, 0])
-    return cell, (left_x + right_x) / 2, (left_y + right_y) / 2, heading
+    return jax.lax.fori_loop(0, halvings, halve, bounds)[0]

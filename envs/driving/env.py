@@ -1,5 +1,6 @@
 """The driving environment: a car on a track of a bank, as a `brax.envs.base.Env`."""
 
+import functools
 import math
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -20,6 +21,7 @@ from envs.driving.loaders import load_track
 from envs.driving.powertrain import engine_speed
 from envs.driving.rewards import REWARDS, Motion, progress_kmh
 from envs.driving.sensors import KMH
+from envs.driving.setup import Setup, drawn
 from envs.driving.tracks import Track
 from envs.driving.vehicle import WHEEL_X, WHEEL_Y, Car, at_rest, step_car, wrap
 from envs.frames import Painter, Picture
@@ -28,6 +30,8 @@ from envs.scored import ScoredMetric
 
 GRASS_FRICTION, GRASS_ROLLING = 0.4, 0.01
 LONGEST_PHYSICS_STEP = 0.005  # s; see `vehicle.step_car`
+LAP_TIMES_KEPT = 10
+"""Where no `max_laps` says how many there can be."""
 
 Values = Any
 """A JAX array, or a NumPy one where states are recorded, with axes in front: [T], [N]."""
@@ -48,6 +52,8 @@ class Drive(struct.PyTreeNode):
     laps: jax.Array  # [] i32, completed
     lap_began: jax.Array  # [] s
     last_lap: jax.Array  # [] s, 0 before the first lap's end
+    lap_times: jax.Array  # [L] s, of the first L laps, 0 for those that are not completed
+    setup: Setup | None = None  # of this episode, where it is drawn
 
     @property
     def x(self) -> Values:
@@ -76,10 +82,11 @@ class Driving(Env):
     | | |
     |---|---|
     | action [3] in [-1, 1] | steer (+1 full left), accelerator and brake: see `controls` |
-    | observation [29] | angle, 19 range finders, trackPos, speeds, wheels, rpm: `sensors.observe` |
+    | observation [29 + K] | angle, 19 range finders, trackPos, speeds, wheels, rpm: \
+      `sensors.observe`; the curvature at K distances ahead |
     | reward | by name: `rewards.REWARDS` |
     | start | at rest on the centre line, at s = 0 or anywhere |
-    | end | off the track, backwards, or no progress |
+    | end | off the track, backwards, no progress, or so many laps |
 
     An action that is not a number counts as 0.
 
@@ -94,6 +101,12 @@ class Driving(Env):
       backwards_end: degrees between car and track beyond which it ends; None for never.
       slow_end: km/h along the track below which, for `slow_time` s on end, it ends; None for never.
       slow_time: s.
+      max_laps: laps after which it ends; None for never.
+      off_track_penalty: taken from the reward of each control step that ends off the track.
+      lookahead: m ahead along the centre line, each of which adds the curvature there to the
+        observation, in units of 0.1/m, to the left positive.
+      mass, power, brakes, grip, drag: factors of the car's own; see `setup.Setup`.
+      randomize: each episode draws these five factors uniformly within this share of them.
       physics_dt: s, a whole fraction of the control step, at most 5 ms.
     """
 
@@ -116,6 +129,15 @@ class Driving(Env):
         slow_end: float | None = 5.0,
         slow_time: float = 10.0,
         physics_dt: float = 0.0025,
+        max_laps: int | None = None,
+        off_track_penalty: float = 0.0,
+        lookahead: tuple[float, ...] = (),
+        mass: float = 1.0,
+        power: float = 1.0,
+        brakes: float = 1.0,
+        grip: float = 1.0,
+        drag: float = 1.0,
+        randomize: float = 0.0,
     ):
         self._substeps = _substeps(control_hz, physics_dt)
         self._dt = 1 / control_hz
@@ -127,16 +149,32 @@ class Driving(Env):
         self._backwards_end = math.radians(_limit("backwards_end", backwards_end))
         self._slow_end = -math.inf if slow_end is None else _limit("slow_end", slow_end)
         self._slow_steps = math.ceil(_limit("slow_time", slow_time) * control_hz)
+        self._max_laps = _limit("max_laps", max_laps)
+        self._lap_times = LAP_TIMES_KEPT if max_laps is None else max_laps
+        if not (math.isfinite(off_track_penalty) and off_track_penalty >= 0):
+            raise ValueError(f"off_track_penalty must be at least 0, got {off_track_penalty}")
+        self._off_track_penalty = off_track_penalty
+        if not all(0 <= ahead < math.inf for ahead in lookahead):
+            raise ValueError(f"lookahead must be distances of at least 0 m, got {lookahead}")
+        self._lookahead = np.array(lookahead, np.float32)
+        self._setup = Setup(mass, power, brakes, grip, drag)
+        for name, factor in self._setup._asdict().items():
+            if not 0.1 <= factor <= 10:
+                raise ValueError(f"{name} must be a factor from 0.1 to 10, got {factor}")
+        if not 0 <= randomize < 1:
+            raise ValueError(f"randomize must be a share in [0, 1), got {randomize}")
+        self._randomize = randomize
         alone = isinstance(track, str) or not isinstance(track, Sequence)
         several: Any = (track,) if alone else track
         self.tracks = tuple(map(load_track, several))
         if not self.tracks:
             raise ValueError("track must name at least one track, got none")
         self.bank = banks.make_bank(self.tracks)
+        self.observation_bounds = sensing.bounds(self._farthest_out(), len(lookahead))
 
     @property
     def observation_size(self) -> int:
-        return 29
+        return sensing.SIZE + len(self._lookahead)
 
     @property
     def action_size(self) -> int:
@@ -159,6 +197,9 @@ class Driving(Env):
           track: index into `tracks`.
         """
         track_key, start_key = jax.random.split(rng)
+        setup = None
+        if self._randomize:
+            setup = drawn(jax.random.fold_in(rng, 2), self._setup, self._randomize)
         if track is None:
             track = jax.random.randint(track_key, (), 0, len(self.tracks))
         elif isinstance(track, int) and not 0 <= track < len(self.tracks):
@@ -182,6 +223,8 @@ class Driving(Env):
             laps=none,
             lap_began=zero,
             last_lap=zero,
+            lap_times=jnp.zeros(self._lap_times),
+            setup=setup,
         )
         place = banks.place(self.bank, track, cell, x, y)
         return State(cast(Any, drive), self._observe(drive, place), zero, zero, _metrics(drive), {})
@@ -195,7 +238,7 @@ class Driving(Env):
         return state.replace(
             pipeline_state=drive,
             obs=self._observe(drive, place),
-            reward=self._reward(motion),
+            reward=self._rewarded(motion),
             done=self._ended(drive, motion).astype(jnp.float32),
             metrics={**state.metrics, **_metrics(drive)},
         )
@@ -221,9 +264,14 @@ class Driving(Env):
 
         return paint
 
+    def _rewarded(self, motion: Motion) -> jax.Array:
+        off_track = jnp.abs(motion.position) > 1
+        return self._reward(motion) - jnp.where(off_track, self._off_track_penalty, 0.0)
+
     def _move(self, drive: Drive, steer, accelerator, brake) -> Drive:
         """The car after the physics steps of one control step."""
         bank, track = self.bank, drive.track
+        setup = self._setup if drive.setup is None else drive.setup
 
         def substep(_, carry):
             car, cell, crossings = carry
@@ -233,7 +281,9 @@ class Driving(Env):
             on_road = jnp.abs(place.position + 2 / place.width * to_left) <= 1
             friction = jnp.where(on_road, bank.friction[track], GRASS_FRICTION)
             rolling = jnp.where(on_road, bank.rolling_resistance[track], GRASS_ROLLING)
-            car = step_car(car, steer, accelerator, brake, friction, rolling, self._physics_dt)
+            car = step_car(
+                car, steer, accelerator, brake, friction, rolling, self._physics_dt, setup
+            )
             return car, place.cell, crossings + place.crossed
 
         carry = (drive.car, drive.cell, drive.crossings)
@@ -252,6 +302,10 @@ class Driving(Env):
         lap_ended = (steps - jnp.clip(too_far, 0.0, 1.0)) * self._dt
         finished = laps > drive.laps
         slow = progress_kmh(motion) < self._slow_end
+        last_lap = jnp.where(finished, lap_ended - drive.lap_began, drive.last_lap)
+        # Without the barrier XLA on a CPU computes all that leads to a lap anew for each of them.
+        laps, last_lap, finished = jax.lax.optimization_barrier((laps, last_lap, finished))
+        this_lap = finished & (np.arange(1, self._lap_times + 1) == laps)
         return drive.replace(
             cell=place.cell,
             crossings=crossings,
@@ -261,20 +315,33 @@ class Driving(Env):
             slow_steps=jnp.where(slow, drive.slow_steps + 1, 0),
             laps=laps,
             lap_began=jnp.where(finished, lap_ended, drive.lap_began),
-            last_lap=jnp.where(finished, lap_ended - drive.lap_began, drive.last_lap),
+            last_lap=last_lap,
+            lap_times=jnp.where(this_lap, last_lap, drive.lap_times),
         )
 
     def _ended(self, drive: Drive, motion: Motion) -> jax.Array:
         off_track = jnp.abs(motion.position) > self._off_track_end
         backwards = jnp.abs(motion.angle) > self._backwards_end
-        return off_track | backwards | (drive.slow_steps >= self._slow_steps)
+        slow, arrived = drive.slow_steps >= self._slow_steps, drive.laps >= self._max_laps
+        return off_track | backwards | slow | arrived
 
     def _observe(self, drive: Drive, place: Place) -> jax.Array:
         car = drive.car
         rays = sensing.range_finders(
             self.bank, drive.track, place.cell, car.x, car.y, car.heading, self.ray_angles
         )
-        return sensing.observe(car, place, rays, engine_speed(car.wheel_speed, car.gear))
+        sensed = sensing.observe(car, place, rays, engine_speed(car.wheel_speed, car.gear))
+        if not self._lookahead.size:
+            return sensed
+        curvature = jax.vmap(functools.partial(banks.curvature, self.bank, drive.track))
+        ahead = curvature(place.s + self._lookahead)
+        return jnp.concatenate([sensed, sensing.CURVATURE_SCALE * ahead])
+
+    def _farthest_out(self) -> float:
+        """The largest |trackPos| that is observed: one control step beyond the end, if there is."""
+        half_width = min(np.linalg.norm(t.left - t.right, axis=-1).min() for t in self.tracks) / 2
+        fastest = sensing.TOP_SPEED * self._dt
+        return self._off_track_end + fastest / half_width
 
 
 def controls(
@@ -294,9 +361,16 @@ def _metrics(drive: Drive) -> dict[str, jax.Array]:
         "distance": drive.distance,  # m
         "laps": drive.laps.astype(jnp.float32),
         "last_lap_time": drive.last_lap,  # s
+        "best_lap_time": _best(drive.lap_times),  # s
         "off_track": drive.off_steps / jnp.maximum(drive.steps, 1),  # share of the steps so far
         "speed": drive.speed * KMH,  # km/h
     }
+
+
+def _best(lap_times: Values) -> Values:
+    """s, the shortest of the laps that are completed; 0 before the first one's end."""
+    best = jnp.where(lap_times > 0, lap_times, jnp.inf).min()
+    return jnp.where(jnp.isfinite(best), best, 0.0)
 
 
 def _substeps(control_hz: float, physics_dt: float) -> int:

@@ -99,6 +99,7 @@ def turn_wheels(
     force: Float[Array, "4"],
     stiffness: Float[Array, "4"],
     dt: float,
+    power: Float[Array, ""] | float = 1.0,
 ) -> Float[Array, "4"]:
     r"""Wheel speeds one step later, rad/s, implicit in the tyres' forces.
 
@@ -111,6 +112,7 @@ def turn_wheels(
       force: of the tyres along the wheels at the end of the step, were the rims to keep their
         speeds, N.
       stiffness: of the tyres, N s/m.
+      power: factor of the engine's torque.
     """
     ratio = _ratio(gear)
     inertia = WHEEL_INERTIA + dt * WHEEL_RADIUS**2 * stiffness
@@ -119,7 +121,7 @@ def turn_wheels(
     right, left = inertia[2], inertia[3]
     per_torque = 0.25 * dt * (1 / right + 1 / left)  # of the mean rear speed
     to_limiter = (LIMITER / ratio - 0.5 * (rolling[2] + rolling[3])) / per_torque
-    torque = engine_torque(engine_speed(wheel_speed, gear), accelerator) * ratio
+    torque = power * engine_torque(engine_speed(wheel_speed, gear), accelerator) * ratio
     torque = jnp.where(shifting > 0, 0.0, jnp.minimum(torque, jnp.maximum(to_limiter, 0.0)))
     drive = jnp.stack([jnp.zeros_like(torque)] * 2 + [0.5 * torque] * 2)
 

@@ -20,6 +20,9 @@ RAY_ANGLES = {
 KMH = 3.6  # km/h in a m/s
 TOP_SPEED_KMH = 300.0  # the unit of the speeds observed, and of the normalised reward
 OFF_TRACK = -1.0  # m, what every range finder says there
+SIZE = 29
+CURVATURE_SCALE = 10.0  # m: a bend of a radius of 10 m is 1
+TOP_SPEED = 150.0  # m/s: no car of ours gets there
 
 
 def range_finders(
@@ -65,6 +68,25 @@ def range_finders(
     to_left = _meet(ray_x, ray_y, starts[:, :2], ends[:, :2])
     to_right = _meet(ray_x, ray_y, starts[:, 2:], ends[:, 2:])
     return jnp.minimum(to_left, to_right)
+
+
+def bounds(position: float, lookahead: int) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest observation, each finite: [29 + K].
+
+    Args:
+      position: the largest |trackPos|, infinite where nothing ends an episode off the track.
+      lookahead: K, the distances at which the curvature is observed.
+    """
+    position = min(position, float(np.finfo(np.float32).max))
+    speed = TOP_SPEED * KMH / TOP_SPEED_KMH
+    wheels = TOP_SPEED / 0.3 / 100.0  # of a radius of more than 0.3 m, half as fast again
+    highest = [1.0, *[1.0] * 19, position, *[speed] * 3, *[1.5 * wheels] * 4, 1.5]
+    lowest = [-1.0, *[OFF_TRACK / SIGHT] * 19, *(-x for x in highest[20:28]), 0.0]
+    curvature = [CURVATURE_SCALE] * lookahead  # no road has a radius of less than 1 m
+    return (
+        np.array(lowest + [-x for x in curvature], np.float32),
+        np.array(highest + curvature, np.float32),
+    )
 
 
 def _meet(ray_x, ray_y, start, end):

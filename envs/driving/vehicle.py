@@ -9,6 +9,7 @@ from flax import struct
 from jaxtyping import Array, Float
 
 from envs.driving import powertrain, tyres
+from envs.driving.setup import Setup
 from envs.driving.tyres import per_axle, total
 
 GRAVITY = 9.80665  # m/s²
@@ -112,10 +113,18 @@ def downforce(forward: Float[Array, ""], sink: Float[Array, ""]) -> Float[Array,
 
 
 def wheel_loads(
-    lift: Float[Array, "4"], push_x: Float[Array, ""], push_y: Float[Array, ""]
+    lift: Float[Array, "4"],
+    push_x: Float[Array, ""],
+    push_y: Float[Array, ""],
+    mass: Float[Array, ""] | float = 1.0,
 ) -> Float[Array, "4"]:
-    """N on each wheel: weight, downforce, and the transfer by pitch and roll, never negative."""
-    load = STATIC_LOAD + lift + PITCH_TRANSFER * push_x + ROLL_TRANSFER * push_y
+    """N on each wheel: weight, downforce, and the transfer by pitch and roll, never negative.
+
+    Args:
+      mass: of the car's own.
+    """
+    load = mass * STATIC_LOAD + lift
+    load = load + mass * PITCH_TRANSFER * push_x + mass * ROLL_TRANSFER * push_y
     return jnp.maximum(load, 0.0)
 
 
@@ -127,6 +136,7 @@ def step_car(
     friction: Float[Array, "4"],
     rolling: Float[Array, "4"],
     dt: float,
+    setup: Setup = Setup(),
 ) -> Car:
     """The car `dt` seconds later: semi-implicit Euler, velocities first.
 
@@ -137,6 +147,7 @@ def step_car(
       friction: of the ground under each wheel, 1.2 on asphalt.
       rolling: resistance of the ground under each wheel, of its load.
       dt: s, at most 5 ms (explicit in the body's motion: the tyres damp its yaw within 4 ms).
+      setup: of this car.
     """
     c, s = jnp.cos(car.heading), jnp.sin(car.heading)
     forward = c * car.velocity_x + s * car.velocity_y
@@ -149,27 +160,29 @@ def step_car(
     ground_x = forward - car.yaw_rate * WHEEL_Y
     ground_y = leftward + car.yaw_rate * WHEEL_X
     lift = downforce(forward, car.sink)
-    load = wheel_loads(lift, car.push_x, car.push_y)
+    load = wheel_loads(lift, car.push_x, car.push_y, setup.mass)
     tyre = tyres.tyre_forces(
         ground_x * cos_w + ground_y * sin_w,
         ground_y * cos_w - ground_x * sin_w,
         car.wheel_speed * powertrain.WHEEL_RADIUS,
-        tyres.friction_limit(load, friction),
+        tyres.friction_limit(load, setup.grip * friction),
     )
     force_x = tyre.along * cos_w - tyre.across * sin_w
     force_y = tyre.along * sin_w + tyre.across * cos_w
     speed = jnp.sqrt(forward**2 + leftward**2)
     resistance = total(rolling * load) / jnp.maximum(speed, 1.0)
-    push_x = (total(force_x) - resistance * forward) / MASS
-    push_y = (total(force_y) - resistance * leftward) / MASS
-    twist = total(force_y * WHEEL_X - force_x * WHEEL_Y) / YAW_INERTIA
+    mass = setup.mass * MASS
+    push_x = (total(force_x) - resistance * forward) / mass
+    push_y = (total(force_y) - resistance * leftward) / mass
+    twist = total(force_y * WHEEL_X - force_x * WHEEL_Y) / (setup.mass * YAW_INERTIA)
 
-    acceleration = push_x - DRAG / MASS * jnp.abs(forward) * forward
+    acceleration = push_x - setup.drag * DRAG / mass * jnp.abs(forward) * forward
     # The ground under the wheels moves on too: without it they would seem heavier than they are.
     along = tyre.along - tyre.stiffness * dt * acceleration
     wheel_speed = powertrain.turn_wheels(
-        car.wheel_speed, gear, shifting, accelerator, brake, along, tyre.stiffness, dt
-    )
+        car.wheel_speed, gear, shifting, accelerator, setup.brakes * brake, along, tyre.stiffness,
+        dt, setup.power,
+    )  # fmt: skip
     velocity_x = car.velocity_x + dt * (c * acceleration - s * push_y)
     velocity_y = car.velocity_y + dt * (s * acceleration + c * push_y)
     yaw_rate = jnp.clip(car.yaw_rate + dt * twist, -LARGEST_YAW_RATE, LARGEST_YAW_RATE)

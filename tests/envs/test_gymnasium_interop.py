@@ -34,7 +34,7 @@ def test_names_are_there_in_either_order_of_imports_and_cost_nothing(first):
 
 
 @pytest.mark.parametrize(
-    "name", ["pendulum", "multi_goal", "point_maze", "two_mode_bandit", "hopper"]
+    "name", ["driving", "pendulum", "multi_goal", "point_maze", "two_mode_bandit", "hopper"]
 )
 def test_gymnasiums_checker_finds_nothing_that_its_own_tasks_do_not_have(name):
     with warnings.catch_warnings(record=True) as caught:
