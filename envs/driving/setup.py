@@ -1,4 +1,4 @@
-"""What of the car can be changed: factors of its own numbers, drawn anew for each episode or not."""
+"""What of a car can be changed: factors of its own numbers, the same or drawn for each episode."""
 
 from typing import NamedTuple
 
@@ -19,6 +19,9 @@ class Setup(NamedTuple):
     """Of the friction under the tyres, 1.2 on asphalt."""
     drag: Float[Array, ""] | float = 1.0
     """Of the drag of 0.67 N s²/m²; the downforce stays."""
+
+
+AS_IT_IS = Setup()
 
 
 def drawn(key: jax.Array, about: Setup, share: float) -> Setup:

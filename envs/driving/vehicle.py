@@ -9,7 +9,7 @@ from flax import struct
 from jaxtyping import Array, Float
 
 from envs.driving import powertrain, tyres
-from envs.driving.setup import Setup
+from envs.driving.setup import AS_IT_IS, Setup
 from envs.driving.tyres import per_axle, total
 
 GRAVITY = 9.80665  # m/s²
@@ -136,7 +136,7 @@ def step_car(
     friction: Float[Array, "4"],
     rolling: Float[Array, "4"],
     dt: float,
-    setup: Setup = Setup(),
+    setup: Setup = AS_IT_IS,
 ) -> Car:
     """The car `dt` seconds later: semi-implicit Euler, velocities first.
 

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import gc
+import pathlib
 import subprocess
 import sys
 
@@ -19,6 +20,7 @@ from envs.engines.native import NativeEngine
 from envs.mujoco_tasks.hopper import Hopper
 from envs.mujoco_tasks.inverted_pendulum import InvertedPendulum
 
+DOCUMENT = pathlib.Path(__file__).parents[2] / "docs" / "environments.md"
 NAMES = [name for name in envs.names() if "native" in envs.spec(name).engines]
 TRAVELLERS = ["hopper", "walker2d", "halfcheetah", "swimmer", "humanoid", "ant"]
 
@@ -75,6 +77,18 @@ def test_thousand_steps_are_gymnasiums(name, gymnasium_task, random_state):
     model = make(name, "native").task.model
     qpos, qvel = random_state(model, np.random.default_rng(0))
     assert_equals_gymnasium(name, gymnasium_task(name), qpos, qvel, steps=1000)
+
+
+def test_ones_own_robot_of_the_documents(tmp_path, monkeypatch, gymnasium_task, random_state):
+    monkeypatch.chdir(tmp_path)
+    text = DOCUMENT.read_text().split("\n## Your own robot\n")[1]
+    exec(text.split("```python\n")[1].split("```")[0], {})
+    own = {"xml_file": "./heavy_hopper.xml"}
+    theirs = gymnasium_task("hopper", **own)
+    torso = theirs.env.model.body("torso").mass
+    assert torso == pytest.approx(1.5 * make("hopper", "native").task.model.body("torso").mass)
+    qpos, qvel = random_state(theirs.env.model, np.random.default_rng(0))
+    assert_equals_gymnasium("hopper", theirs, qpos, qvel, steps=50, **own)
 
 
 @pytest.mark.parametrize("name", TRAVELLERS)
