@@ -97,6 +97,8 @@ ROOMS = {
         "tables",
         "plots",
         "report",
+        "live_runs",
+        "dashboard",
     ),
     "cli": (
         "console",
@@ -114,6 +116,7 @@ ROOMS = {
         "export",
         "watch",
         "report",
+        "dashboard",
         "paper",
         "envs",
     ),

@@ -2,8 +2,9 @@
 
 from envs.driving.circuits import NAMES as CIRCUIT_NAMES
 from envs.driving.circuits import random_circuit
+from envs.driving.drive import Drive
 from envs.driving.driver import scripted_driver
-from envs.driving.env import Drive, Driving
+from envs.driving.env import Driving
 from envs.driving.loaders import load_track
 from envs.driving.tracks import Arc, Segment, Straight, Track, from_segments, parse_segments
 

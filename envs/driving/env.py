@@ -9,7 +9,6 @@ from typing import Any, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 from jaxtyping import Array, Float32, Int
 
 from envs.base import Action, Env, State
@@ -17,13 +16,13 @@ from envs.driving import bank as banks
 from envs.driving import sensors as sensing
 from envs.driving.bank import Place
 from envs.driving.drawing import animate, draw_line, picture_of_car
+from envs.driving.drive import Drive, metrics
 from envs.driving.loaders import load_track
 from envs.driving.powertrain import engine_speed
 from envs.driving.rewards import REWARDS, Motion, progress_kmh
-from envs.driving.sensors import KMH
 from envs.driving.setup import Setup, drawn
 from envs.driving.tracks import Track
-from envs.driving.vehicle import WHEEL_X, WHEEL_Y, Car, at_rest, step_car, wrap
+from envs.driving.vehicle import WHEEL_X, WHEEL_Y, at_rest, step_car, wrap
 from envs.frames import Painter, Picture
 from envs.recording import Episode, Player
 from envs.scored import ScoredMetric
@@ -32,48 +31,6 @@ GRASS_FRICTION, GRASS_ROLLING = 0.4, 0.01
 LONGEST_PHYSICS_STEP = 0.005  # s; see `vehicle.step_car`
 LAP_TIMES_KEPT = 10
 """Where no `max_laps` says how many there can be."""
-
-Values = Any
-"""A JAX array, or a NumPy one where states are recorded, with axes in front: [T], [N]."""
-
-
-class Drive(struct.PyTreeNode):
-    """One instance: the car, where it is, and what has been counted since the start."""
-
-    car: Car
-    track: jax.Array  # [] i32, index into the bank
-    cell: jax.Array  # [] i32
-    crossings: jax.Array  # [] i32, of the start line, forwards less backwards
-    start: jax.Array  # [] m, s at the start
-    distance: jax.Array  # [] m along the centre line from the start
-    steps: jax.Array  # [] i32, control steps
-    off_steps: jax.Array  # [] i32, of them off the track
-    slow_steps: jax.Array  # [] i32, the latest ones without progress
-    laps: jax.Array  # [] i32, completed
-    lap_began: jax.Array  # [] s
-    last_lap: jax.Array  # [] s, 0 before the first lap's end
-    lap_times: jax.Array  # [L] s, of the first L laps, 0 for those that are not completed
-    setup: Setup | None = None  # of this episode, where it is drawn
-
-    @property
-    def x(self) -> Values:
-        """m"""
-        return self.car.x
-
-    @property
-    def y(self) -> Values:
-        """m"""
-        return self.car.y
-
-    @property
-    def heading(self) -> Values:
-        """rad"""
-        return self.car.heading
-
-    @property
-    def speed(self) -> Values:
-        """m/s over the ground."""
-        return jnp.sqrt(self.car.velocity_x**2 + self.car.velocity_y**2)
 
 
 class Driving(Env):
@@ -227,7 +184,7 @@ class Driving(Env):
             setup=setup,
         )
         place = banks.place(self.bank, track, cell, x, y)
-        return State(cast(Any, drive), self._observe(drive, place), zero, zero, _metrics(drive), {})
+        return State(cast(Any, drive), self._observe(drive, place), zero, zero, metrics(drive), {})
 
     def step(self, state: State, action: Action) -> State:
         drive = self._move(cast(Drive, state.pipeline_state), *controls(self.clipped(action)))
@@ -240,7 +197,7 @@ class Driving(Env):
             obs=self._observe(drive, place),
             reward=self._rewarded(motion),
             done=self._ended(drive, motion).astype(jnp.float32),
-            metrics={**state.metrics, **_metrics(drive)},
+            metrics={**state.metrics, **metrics(drive)},
         )
 
     def render(self, episodes: Sequence[Episode], player: Player, folder: Path) -> list[Path]:
@@ -354,23 +311,6 @@ def controls(
     """
     action = jnp.nan_to_num(action)
     return action[0], (action[1] + 1) / 2, jnp.maximum(action[2], 0.0)
-
-
-def _metrics(drive: Drive) -> dict[str, jax.Array]:
-    return {
-        "distance": drive.distance,  # m
-        "laps": drive.laps.astype(jnp.float32),
-        "last_lap_time": drive.last_lap,  # s
-        "best_lap_time": _best(drive.lap_times),  # s
-        "off_track": drive.off_steps / jnp.maximum(drive.steps, 1),  # share of the steps so far
-        "speed": drive.speed * KMH,  # km/h
-    }
-
-
-def _best(lap_times: Values) -> Values:
-    """s, the shortest of the laps that are completed; 0 before the first one's end."""
-    best = jnp.where(lap_times > 0, lap_times, jnp.inf).min()
-    return jnp.where(jnp.isfinite(best), best, 0.0)
 
 
 def _substeps(control_hz: float, physics_dt: float) -> int:

@@ -1,12 +1,15 @@
-"""python -m benchmarks.stable_baselines3: its PPO with many cars in one jitted step, beside one."""
+"""python -m benchmarks.sb3: its PPO with many cars in one jitted step, beside one."""
 
 import statistics
 import time
 
 import gymnasium
-import torch
-from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+import torch  # pyright: ignore[reportMissingImports]
+from stable_baselines3 import PPO  # pyright: ignore[reportMissingImports]
+from stable_baselines3.common.vec_env import (  # pyright: ignore[reportMissingImports]
+    DummyVecEnv,
+    VecEnv,
+)
 
 from envs.interop.stable_baselines3 import StableBaselinesEnv
 
