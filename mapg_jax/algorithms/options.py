@@ -8,6 +8,9 @@ from typing import Any, Literal
 
 from envs.values import fits
 
+LARGEST = 2**31 - 1
+"""Of a whole number, where no bound of its own says otherwise: what compiled programs count in."""
+
 
 def option(
     default: Any,
@@ -86,6 +89,10 @@ def _check(field: dataclasses.Field, hint: Any, value: Any) -> None:
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"{name} must be finite, got {value}")
     bounds = field.metadata.get("bounds", {})
+    if not {"at most", "below"} & set(bounds):
+        for whole in value if isinstance(value, tuple) else (value,):
+            if isinstance(whole, int) and whole > LARGEST:
+                raise ValueError(f"{name} must be at most {LARGEST}, got {_short(whole)}")
     if value is None or isinstance(value, str):
         return
     if all(_WITHIN[words](value, bound) for words, bound in bounds.items()):
@@ -96,6 +103,10 @@ def _check(field: dataclasses.Field, hint: Any, value: Any) -> None:
         )
     words, bound = next(item for item in bounds.items() if not _WITHIN[item[0]](value, item[1]))
     raise ValueError(f"{name} must be {words} {bound}, got {value}")
+
+
+def _short(whole: int) -> str:
+    return str(whole) if whole < 10**20 else "a number of more than twenty digits"
 
 
 @functools.cache

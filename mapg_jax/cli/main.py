@@ -81,6 +81,11 @@ def _run(command, arguments, out: TextIO) -> None:
         command.run(arguments, out)
     except DivergedError as error:
         sys.exit(complain(str(error), 1))
+    except jax.errors.JaxRuntimeError as error:
+        if "RESOURCE_EXHAUSTED" not in str(error):
+            raise
+        needed = str(error).splitlines()[0]
+        sys.exit(complain(f"{needed}; fewer environments or smaller batches need less", 1))
     except KeyboardInterrupt:
         sys.exit(complain("interrupted", 130))
     except OSError as error:  # a full disk, say

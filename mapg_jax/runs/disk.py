@@ -4,7 +4,8 @@ import os
 import pathlib
 import shutil
 
-from mapg_jax.training.trainer import Trainer, tree_bytes
+from mapg_jax.training.state import tree_bytes
+from mapg_jax.training.trainer import Trainer
 
 
 def checkpoint_bytes(trainer: Trainer) -> int:

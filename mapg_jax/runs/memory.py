@@ -3,10 +3,10 @@
 import jax
 import psutil
 
-from mapg_jax.training.config import Config
+from mapg_jax.training.config import Config, RolloutConfig
 from mapg_jax.training.lockstep import Lockstep
 from mapg_jax.training.replay import capacity
-from mapg_jax.training.trainer import tree_bytes
+from mapg_jax.training.state import tree_bytes
 
 
 def prepare(*configs: Config, devices: int | None = 1) -> Lockstep:
@@ -21,12 +21,14 @@ def prepare(*configs: Config, devices: int | None = 1) -> Lockstep:
         shards cannot be on so many devices.
     """
     program = Lockstep(configs, devices)
-    needed, available = with_copy(program.bytes), available_bytes()
+    needed, available = with_copy(program.bytes) + program.turn_bytes, available_bytes()
     if needed > available:
         together = f"{len(configs)} runs in lockstep need" if len(configs) > 1 else "the run needs"
         what, remedy = "", "fewer --environments"
         replay = program.trainer.shapes.replay
-        if replay is not None and 2 * tree_bytes(replay) > program.trainer.bytes:
+        if 2 * program.turn_bytes > needed:
+            what, remedy = _of_a_turn(program.trainer.config)
+        elif replay is not None and 2 * tree_bytes(replay) > program.trainer.bytes:
             slots = capacity(replay)
             what = f", of which the replay of {slots:,} transitions is the most,"
             remedy = "a smaller --replay-size"
@@ -39,6 +41,19 @@ def prepare(*configs: Config, devices: int | None = 1) -> Lockstep:
             f"choose {remedy}"
         )
     return program
+
+
+def _of_a_turn(config: Config) -> tuple[str, str]:
+    """What a turn needs, and what would need less."""
+    if isinstance(config, RolloutConfig):
+        return (
+            f", of which the rollouts of {config.rollout_steps:,} steps are the most,",
+            "fewer --rollout-steps or --environments",
+        )
+    return (
+        ", of which the batches of the updates between two steps are the most,",
+        "fewer --updates-per-step or --environments, or a smaller --batch-size",
+    )
 
 
 def with_copy(state: int) -> int:

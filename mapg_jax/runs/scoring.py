@@ -15,7 +15,7 @@ from mapg_jax.runs.memory import available_bytes
 from mapg_jax.runs.policy import Policy, open_policy
 from mapg_jax.runs.sealing import write_score
 from mapg_jax.training.evaluation import play, summarize
-from mapg_jax.training.trainer import tree_bytes
+from mapg_jax.training.state import tree_bytes
 
 GYMNASIUM_BYTES = 1_000_000
 """Of one environment, about: a MuJoCo model and its data."""

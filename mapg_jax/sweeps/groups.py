@@ -14,7 +14,8 @@ from mapg_jax.runs.checkpoints import Checkpoints
 from mapg_jax.runs.memory import available_bytes, with_copy
 from mapg_jax.training.config import Config
 from mapg_jax.training.lockstep import program_key
-from mapg_jax.training.trainer import Trainer, make_trainer, tree_bytes
+from mapg_jax.training.state import tree_bytes
+from mapg_jax.training.trainer import Trainer, make_trainer
 
 Grouping = Literal["auto", "one", "all"] | int
 """How many runs a program has: what pays, one, as many as can, or so many at most."""

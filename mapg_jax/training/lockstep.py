@@ -56,6 +56,11 @@ class Lockstep:
         """Memory of the state."""
         return self.trainer.bytes * len(self.configs)
 
+    @property
+    def turn_bytes(self) -> int:
+        """Memory that a turn takes beside it, at least."""
+        return self.trainer.turn_bytes * len(self.configs)
+
     def init(self) -> Any:
         """The state before the first step."""
         if self.alone:

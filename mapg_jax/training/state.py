@@ -1,5 +1,6 @@
 """What changes while a run learns."""
 
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -33,3 +34,8 @@ class TrainState(struct.PyTreeNode):
     env_steps: jax.Array  # [] i32, all environments together
     diverged_at: jax.Array  # [] i32, env_steps at the first metric that was not finite, or -1
     totals: Totals
+
+
+def tree_bytes(shapes: Any) -> int:
+    """Memory of a tree of arrays, or of their shapes."""
+    return sum(math.prod(x.shape) * x.dtype.itemsize for x in jax.tree.leaves(shapes))

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import math
 from typing import Any, NamedTuple
 
 import jax
@@ -16,7 +15,7 @@ from mapg_jax.algorithms.base import Transition
 from mapg_jax.training.agent import Agent, AgentState, hyperparameters, make_agent
 from mapg_jax.training.config import Config
 from mapg_jax.training.layout import Layout, most_devices
-from mapg_jax.training.state import Totals, TrainState
+from mapg_jax.training.state import Totals, TrainState, tree_bytes
 from mapg_jax.training.turns import TURNS, Turn
 
 
@@ -143,10 +142,10 @@ class Trainer:
         """Memory the state will take, before any of it is allocated."""
         return tree_bytes(self.shapes)
 
-
-def tree_bytes(shapes: Any) -> int:
-    """Memory of a tree of arrays, or of their shapes."""
-    return sum(math.prod(x.shape) * x.dtype.itemsize for x in jax.tree.leaves(shapes))
+    @property
+    def turn_bytes(self) -> int:
+        """Memory that a turn takes beside the state, at least."""
+        return self.turn.bytes(self.shapes)
 
 
 def make_trainer(config: Config, devices: int | None = 1) -> Trainer:

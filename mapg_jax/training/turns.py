@@ -14,7 +14,7 @@ from mapg_jax.algorithms import shards
 from mapg_jax.algorithms.base import Experience, Rollout, Transition
 from mapg_jax.training import replay
 from mapg_jax.training.agent import Agent
-from mapg_jax.training.state import TrainState
+from mapg_jax.training.state import TrainState, tree_bytes
 
 Step = Callable[[TrainState, PRNGKeyArray], tuple[TrainState, Transition, Bool[Array, "N"]]]
 """One step of every environment; see `Trainer.step`."""
@@ -36,6 +36,10 @@ class Turn(Protocol):
 
     def begin(self, state: TrainState) -> TrainState:
         """The state before the first turn, with what the turns keep in it."""
+        ...
+
+    def bytes(self, state: TrainState) -> int:
+        """Memory that a turn takes beside a state of those shapes, at least."""
         ...
 
     def __call__(self, state: TrainState) -> TrainState: ...
@@ -91,6 +95,11 @@ class ReplayTurn:
         collect_key, sample_key, update_key = map(shards.own, keys)
         state = self.collect(state.replace(key=key), collect_key)
         return self.learn(state, sample_key, update_key)
+
+    def bytes(self, state: TrainState) -> int:
+        """Of the batches of its updates."""
+        of_one = tree_bytes(state.replay) / self.config.replay_size
+        return math.ceil(self.most_updates * self.config.batch_size * of_one)
 
     def collect(self, state: TrainState, key: PRNGKeyArray) -> TrainState:
         """One step of every environment, stored where it is finite."""
@@ -160,6 +169,10 @@ class RolloutTurn:
         collect_key, update_key = map(shards.own, keys)
         state, rollout = self.collect(state.replace(key=key), collect_key)
         return self.learn(state, rollout, update_key)
+
+    def bytes(self, state: TrainState) -> int:
+        """Of the observations of its steps, before and after each."""
+        return 2 * self.config.rollout_steps * tree_bytes(state.env.obs)
 
     def collect(self, state: TrainState, key: PRNGKeyArray) -> tuple[TrainState, Rollout]:
         """n steps of every environment."""

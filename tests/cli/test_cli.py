@@ -149,6 +149,18 @@ def test_too_little_memory_is_refused_with_the_numbers(mapg, tmp_path, monkeypat
     assert not list(tmp_path.iterdir())
 
 
+def test_memory_that_runs_out_later_is_one_line(mapg, monkeypatch):
+    from mapg_jax.cli import envs as command
+
+    def run(*_):
+        raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes.")
+
+    monkeypatch.setattr(command, "run", run)
+    status, _, err = mapg("envs")
+    assert status == 1 and err.count("\n") == 1
+    assert err.startswith("mapg: RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes")
+
+
 def test_a_billion_episodes_are_one_line(mapg, workplace, monkeypatch):
     monkeypatch.setattr(scoring, "available_bytes", lambda: 8_000_000_000)
     status, out, err = mapg("evaluate", workplace / "run", "--episodes", 10**9)

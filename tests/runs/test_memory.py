@@ -29,7 +29,12 @@ def test_what_takes_the_most_is_named(monkeypatch):
             r"of which the networks with 100,000,000 heads are the most, .*--heads",
         ),
         ({"replay_size": 2**30}, r"replay of 1,073,741,824 transitions .* smaller --replay-size"),
-        ({"algorithm": "a3c", "environments": 2**30}, "choose fewer --environments"),
+        ({"algorithm": "a3c", "environments": 2**30}, r"choose fewer .*--environments"),
+        (
+            {"algorithm": "ppo", "rollout_steps": 2**30},
+            r"rollouts of 1,073,741,824 steps are the most, .* fewer --rollout-steps",
+        ),
+        ({"updates_per_step": 1e8}, r"batches of the updates .* fewer --updates-per-step"),
     ):
         with pytest.raises(ValueError, match=message):
             memory.prepare(Config(**changes))

@@ -25,6 +25,8 @@ from mapg_jax.training.config import (
     [
         ({"heads": 0}, "heads must be at least 1, got 0"),
         ({"seed": -1}, "seed must be at least 0, got -1"),
+        ({"heads": 2**31}, "heads must be at most 2147483647, got 2147483648"),
+        ({"hidden": (64, 10**30)}, "hidden must be at most 2147483647, got a number of more than"),
         ({"seed": 2**31}, "seed must be at most 2147483647, got 2147483648"),
         ({"steps": 0}, "steps must be at least 1, got 0"),
         ({"steps": 3_000_000_000}, "steps must be at most 2000000000, got 3000000000"),

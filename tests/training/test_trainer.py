@@ -15,7 +15,8 @@ import envs
 from mapg_jax.algorithms import heads
 from mapg_jax.training.agent import Agent
 from mapg_jax.training.config import Config, preset
-from mapg_jax.training.trainer import Trainer, make_trainer, run_keys, tree_bytes
+from mapg_jax.training.state import tree_bytes
+from mapg_jax.training.trainer import Trainer, make_trainer, run_keys
 
 TIME_LIMIT = 5
 LIGHT = dataclasses.replace(oracles.TINY, hidden=(4, 4), layer_norm=False, normalize=False)
