@@ -100,7 +100,7 @@ def carry_out(
                     for folder in worker.folders:
                         failure = failures.get(folder.path)
                         if failure and worker.crashed() and len(worker.group) > 1:
-                            pool.add(_narrower(worker.group, folder.path))
+                            pool.try_again(worker.group, folder.path)
                             table.retried(folder, failure)
                             continue
                         table.ended(folder, failure)
@@ -138,6 +138,7 @@ class _Pool:
         self._free = self._launcher.shares(schedule.workers)
         self._workers: list[Worker] = []
         self._keep_replay = schedule.keep_replay
+        self._tried_again: set[Group] = set()
 
     def busy(self) -> bool:
         return bool(self._waiting or self._workers)
@@ -160,9 +161,18 @@ class _Pool:
             self._free.append(worker.share)
         return ended
 
-    def add(self, group: Group) -> None:
-        """What is to be tried once more."""
-        self._waiting.append(group)
+    def try_again(self, group: Group, path: pathlib.Path) -> None:
+        """One run of a group that crashed, since another may be at fault.
+
+        The others are idle first, which leaves its numbers as they are; and if that crashes too,
+        they are left out, which can change last bits. (A group in which it was alone at work, the
+        others being done, crashed for the first time, too.)
+        """
+        alone = with_work_for(group, {path})
+        if alone in self._tried_again:
+            alone = at_work(alone)
+        self._tried_again.add(alone)
+        self._waiting.append(alone)
 
     def stop(self) -> None:
         """All workers save and end."""
@@ -176,17 +186,6 @@ def _left_of(group: Group) -> list[Group]:
     """The parts of a group that are not finished, for the same program: that is exact."""
     left = {job.path for job in group if not _finished(job)}
     return parts(with_work_for(group, left)) if left else []
-
-
-def _narrower(group: Group, path: pathlib.Path) -> Group:
-    """One run of a group that crashed, since another may be at fault.
-
-    The others are idle first, which leaves its numbers as they are; and if that crashes too, they
-    are left out, which can change last bits.
-    """
-    if len(at_work(group)) > 1:
-        return with_work_for(group, {path})
-    return tuple(job for job in group if job.path == path)
 
 
 def unique_jobs(runs: Sequence[tuple[Config, pathlib.Path]]) -> list[Job]:

@@ -13,6 +13,7 @@ from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.train import take_up
 from mapg_jax.sweeps import sweep, table
 from mapg_jax.sweeps.groups import Job, at_work
+from mapg_jax.sweeps.launchers import Local
 from mapg_jax.sweeps.pool import Worker
 
 RUN = dataclasses.replace(oracles.RUN, steps=400, checkpoint_seconds=300.0, checkpoints_kept=2)
@@ -123,3 +124,17 @@ def test_a_group_that_crashes_is_cut_into_its_runs(tmp_path, monkeypatch):
     ]  # fmt: skip
     assert failures == [f"{tmp_path / 'bad'}: why"]
     assert told == ["one", "good"]
+
+
+def test_the_last_run_of_a_group_is_tried_again_in_its_program_first(tmp_path, monkeypatch):
+    """The others are done when the sweep begins: a crash is its first one."""
+    monkeypatch.setattr(sweep, "Worker", CrashingTogether)
+    monkeypatch.setattr(sweep, "POLL_SECONDS", 0.0)
+    monkeypatch.setattr(table, "read_metrics", lambda path: [])
+    monkeypatch.setattr(CrashingTogether, "started", [])
+    jobs = tuple(
+        Job(dataclasses.replace(RUN, seed=k), tmp_path / n, idle=n != "bad")
+        for k, n in enumerate(("one", "bad", "good"))
+    )
+    sweep.carry_out(sweep.Schedule([jobs], 1, False, Local()))
+    assert CrashingTogether.started == [(["bad"], 3), (["bad"], 3), (["bad"], 1)]
