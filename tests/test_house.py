@@ -99,6 +99,7 @@ ROOMS = {
         "report",
         "live_runs",
         "dashboard",
+        "sharing",
     ),
     "cli": (
         "console",
@@ -117,6 +118,8 @@ ROOMS = {
         "watch",
         "report",
         "dashboard",
+        "push",
+        "pull",
         "paper",
         "envs",
     ),

@@ -21,6 +21,8 @@ COMMANDS = {
     "draw": "Draw one episode of a run, where its environment draws.",
     "export": "Write a policy that runs without this package.",
     "watch": "Film a run's newest policy, and what its heads propose.",
+    "push": "Give a trained policy to others, with a model card.",
+    "pull": "Take a policy of others.",
     "dashboard": "Follow runs on a page, while they go on.",
     "report": "Put finished runs side by side: tables with intervals over seeds, and pictures.",
     "paper": "Make a table or figure of the paper, and train the runs it lacks.",
