@@ -110,7 +110,7 @@ def test_the_hugging_face_hub_is_asked_as_it_wants(scored, tmp_path, monkeypatch
     assert sharing.push(scored.path, "me/mine") == "the address of me/mine"
     assert sharing.pull("me/mine", tmp_path / "got") == tmp_path / "got"
     assert evaluate(RunFolder.open(tmp_path / "got")) == evaluate(scored)
-    with pytest.raises(ValueError, match="^me/other: 404: there is none$"):
+    with pytest.raises(ValueError, match=r"^me/other: 404: there is none$"):
         sharing.pull("me/other", tmp_path / "other")
     assert not (tmp_path / "other").exists()
     monkeypatch.setitem(sys.modules, "huggingface_hub", None)
