@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: demo test test-slow test-mjx test-cluster test-onnx test-trackers test-sb3 test-browser torture check lint types results bench bench-peers bench-compare clean
+.PHONY: demo test test-slow test-mjx test-cluster test-onnx test-trackers test-sb3 test-browser torture check lint types docs notebooks results bench bench-peers bench-compare clean
 
 demo: .venv/ready  ## train MAPG (M = 10) on Pendulum and score it over 100 episodes
 	$(BIN)/mapg train --env pendulum --heads 10 --steps 40000 --evaluate-every 2000
@@ -55,6 +55,18 @@ results: .venv/ready  ## results/README.md and its pictures, from the committed 
 bench: .venv/ready  ## speed, against peers where they are installed
 	$(BIN)/python -m benchmarks
 
+PAGES := README.md CHANGELOG.md CONTRIBUTING.md CODE_OF_CONDUCT.md SECURITY.md LICENSE docs results \
+	experiments/protocol.md benchmarks/results.md benchmarks/notes.md $(wildcard benchmarks/*.png) zoo
+
+docs: .venv-docs/ready  ## the site, in .site/html, which opens without a network
+	rm -rf .site && mkdir -p .site/source
+	cp -r --parents $(PAGES) .site/source
+	NO_MKDOCS_2_WARNING=1 .venv-docs/bin/mkdocs build --quiet --strict -f docs/mkdocs.yml
+
+notebooks: .venv/ready  ## the tutorials, executed in their smallest form
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,notebooks]'
+	MAPG_SMALL=1 $(PYTEST) --nbmake docs/tutorials
+
 bench-peers: .venv-peers/ready  ## installs the peers for `make bench`
 
 bench-compare: .venv/ready  ## speed against another checkout: make bench-compare OTHER=../before
@@ -66,10 +78,15 @@ bench-compare: .venv/ready  ## speed against another checkout: make bench-compar
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $@
 
+.venv-docs/ready: docs/requirements.txt
+	$(PYTHON) -m venv .venv-docs
+	.venv-docs/bin/python -m pip install --quiet --requirement docs/requirements.txt
+	touch $@
+
 .venv-peers/ready: benchmarks/peers.txt
 	$(PYTHON) -m venv .venv-peers
 	.venv-peers/bin/python -m pip install --quiet --requirement benchmarks/peers.txt
 	touch $@
 
 clean:
-	rm -rf .venv .venv-peers
+	rm -rf .venv .venv-docs .venv-peers .site

@@ -103,6 +103,7 @@ ROOMS = {
     ),
     "cli": (
         "console",
+        "completion",
         "parser",
         "fields",
         "config_file",

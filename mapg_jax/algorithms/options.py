@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import math
 import typing
+from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 from envs.values import fits
@@ -22,6 +23,7 @@ def option(
     below: int | float | None = None,
     of_heads: bool = False,
     host: bool = False,
+    known: Callable[[], Sequence[str]] | None = None,
 ) -> Any:
     """A field of a frozen dataclass of options.
 
@@ -34,10 +36,11 @@ def option(
       below: values must be smaller.
       of_heads: whether it says nothing where there is one head.
       host: whether it bears on the host's work alone, neither on the task nor on learning.
+      known: values that a shell can propose.
     """
     bounds = {"at least": at_least, "above": above, "at most": at_most, "below": below}
     bounds = {words: bound for words, bound in bounds.items() if bound is not None}
-    metadata = {"help": help, "bounds": bounds, "of_heads": of_heads, "host": host}
+    metadata = {"help": help, "bounds": bounds, "of_heads": of_heads, "host": host, "known": known}
     return dataclasses.field(default=default, metadata=metadata)
 
 

@@ -9,6 +9,7 @@ import sys
 from typing import TextIO
 
 from mapg_jax import foreign
+from mapg_jax.cli import completion
 from mapg_jax.cli.console import complain, own_stdout, refuse_politely
 from mapg_jax.cli.parser import Parser
 
@@ -36,6 +37,8 @@ def main() -> None:
     # Networks of this size are too small to share among XLA's threads, which wait for each other:
     # one is faster and leaves the other cores to the physics. NPROC in the environment wins.
     os.environ.setdefault("NPROC", "1")
+    if completion.ASKED in os.environ:
+        completion.complete(COMMANDS)
     name, *flags = sys.argv[1:] or ["--help"]
     if name in ("-h", "--help"):
         print(_help(), end="")

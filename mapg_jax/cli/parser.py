@@ -8,6 +8,7 @@ import typing
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, NoReturn
 
+from mapg_jax.cli import completion
 from mapg_jax.cli.console import complain
 
 WIDTH = 100
@@ -33,6 +34,7 @@ class Parser(argparse.ArgumentParser):
 
     def parse(self, flags: list[str]) -> argparse.Namespace:
         """The arguments; a flag that is near an unknown one is named."""
+        completion.answer(self)
         arguments, rest = self.parse_known_args(flags)
         if rest:
             near = difflib.get_close_matches(rest[0], self.flags(), 1)
@@ -68,7 +70,15 @@ def add_fields(
             options["metavar"] = _metavar(hint)
         else:
             options |= {"type": _one(hint), "metavar": _metavar(hint)}
-        parser.add_argument(f"--{name.replace('_', '-')}", **options)
+        action = parser.add_argument(f"--{name.replace('_', '-')}", **options)
+        known = field.metadata.get("known") or (lambda hint=hint: _choices(hint))
+        vars(action)["completer"] = lambda known=known, **_: known()
+
+
+def _choices(hint: Any) -> tuple[str, ...]:
+    """What a flag can be, where that is known."""
+    literal = typing.get_origin(hint) is Literal
+    return tuple(map(str, typing.get_args(hint))) if literal else ()
 
 
 class _Joined(argparse.Action):

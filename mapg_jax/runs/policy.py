@@ -46,6 +46,7 @@ class Policy:
 
         self._act = act
         self._proposals = jax.jit(lambda state, obs: in_units(agent.proposals(state, obs)[0]))
+        self._values = jax.jit(lambda state, obs: agent.proposals(state, obs)[1])
 
     def __call__(self, observation: Any, seed: int | None = None) -> np.ndarray:
         """An action a state, [A] or [N, A].
@@ -69,6 +70,11 @@ class Policy:
         """All M actions, [M, A] or [N, M, A]."""
         m = int(self.state.hyper.heads)
         return np.asarray(self._proposals(self.state, self._checked(observation)))[..., :m, :]
+
+    def values(self, observation: Any) -> np.ndarray:
+        """The critic's value of every proposal, [M] or [N, M]."""
+        m = int(self.state.hyper.heads)
+        return np.asarray(self._values(self.state, self._checked(observation)))[..., :m]
 
     def _checked(self, observation: Any) -> np.ndarray:
         observation = np.asarray(observation, np.float32)

@@ -20,7 +20,11 @@ class Config(Options):
     refuses those of others. The defaults are the preset `paper`.
     """
 
-    env: str = option("pendulum", "Environment: a name of `mapg envs`, brax:NAME or gym:NAME.")
+    env: str = option(
+        "pendulum",
+        "Environment: a name of `mapg envs`, brax:NAME or gym:NAME.",
+        known=envs.names,
+    )
     env_options: tuple[str, ...] = option((), "Options of the environment, as name=value.")
     engine: str = option(
         "auto",
@@ -34,7 +38,9 @@ class Config(Options):
         "At the time limit: bootstrap, or treat it as an end as the 2017 code did.",
     )
     algorithm: str = option(
-        "mapg", "mapg, which is DDPG where M = 1; a3c, the paper's baseline; or one of yours."
+        "mapg",
+        "mapg, which is DDPG where M = 1; a3c, the paper's baseline; or one of yours.",
+        known=registry.names,
     )
     # Counters are int32, and so are seeds.
     seed: int = option(0, "Of every random draw of the run.", at_least=0, at_most=2**31 - 1)

@@ -36,8 +36,9 @@ def test_actions_are_in_gymnasiums_units(policy, finished_run):
     """Pendulum's torque reaches 2 N m: actions are twice the networks' proposals."""
     trainer = make_trainer(finished_run.config)
     state = oracles.newest_state(finished_run).agent
-    proposals, _ = trainer.agent.proposals(state, jnp.asarray(observations(6), jnp.float32))
+    proposals, values = trainer.agent.proposals(state, jnp.asarray(observations(6), jnp.float32))
     np.testing.assert_allclose(policy.proposals(observations(6)), 2 * proposals, rtol=1e-6)
+    np.testing.assert_allclose(policy.values(observations(6)), values, rtol=1e-5, atol=1e-6)
 
 
 def test_every_action_is_a_proposal(policy):
