@@ -39,7 +39,7 @@ class Bandit(Env):
     drawn_episodes = 100
 
     @property
-    def action_high(self) -> np.ndarray:
+    def action_high(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleVariableOverride]
         return np.ones(self.action_size, np.float32)
 
     @property

@@ -80,7 +80,7 @@ def draw_plane(
         )
         axes.set(title=f"{title}: {label}", xlabel="action, x", ylabel="action, y")
         axes.set(xlim=(-1.03, 1.03), ylim=(-1.03, 1.03))
-    axes.legend(loc="lower left")
+        axes.legend(loc="lower left")
     figure.savefig(path, dpi=120)
 
 

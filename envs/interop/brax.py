@@ -69,7 +69,7 @@ class BraxEnv(Wrapper, Env):
         return getattr(self.env, "_backend", "jax")  # its smallest ones have none
 
     @property
-    def action_high(self) -> np.ndarray:
+    def action_high(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleVariableOverride]
         return np.ones(self.action_size, np.float32)
 
     def step(self, state: State, action: Action) -> State:

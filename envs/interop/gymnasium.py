@@ -1,6 +1,6 @@
 """Our environments as Gymnasium has them: one, or many that one jitted call steps."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import jax
@@ -26,7 +26,7 @@ class SingleEnv(gymnasium.Env):
       **options: `engine`, and the options of the task.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 20}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20}  # noqa: RUF012
 
     def __init__(self, name: str, render_mode: str | None = None, **options: Any):
         self._env = registry.make(name, **options)
@@ -76,7 +76,7 @@ class VectorEnv(gymnasium.vector.VectorEnv):
       **options: `engine`, and the options of the task.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {  # noqa: RUF012
         "render_modes": [],
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }

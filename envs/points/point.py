@@ -30,7 +30,9 @@ class Point(Env):
     action_high = np.ones(2, np.float32)
 
     @property
-    def observation_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+    def observation_bounds(  # pyright: ignore[reportIncompatibleVariableOverride]
+        self,
+    ) -> tuple[np.ndarray, np.ndarray]:
         return self.plane.low, self.plane.high
 
     @property

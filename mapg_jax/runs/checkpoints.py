@@ -235,8 +235,8 @@ class Checkpoints:
             record = _Record(**{name: stored[name] for name in _Record._fields})
             sealed = stored["seal"] == _seal(record) and record.env_steps == int(record.env_steps)
         except (KeyError, TypeError, ValueError):
-            sealed = False
-        if not sealed:
+            record, sealed = None, False
+        if record is None or not sealed:
             raise self._damaged(step, "its seal is broken")
         if record.env_steps != step:
             raise self._damaged(step, f"it is that of step {record.env_steps:,}")

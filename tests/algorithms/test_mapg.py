@@ -84,7 +84,7 @@ def setup(
     floats = {name for name, x in vars(hyper).items() if x.dtype == jnp.float32}
     names = floats - {"noise_scale", "noise_scale_last"}  # no update asks for σ
     numbers = {name: jnp.float64(getattr(config, name)) for name in names}
-    return algorithm, state, hyper.replace(**numbers)
+    return algorithm, state, hyper.replace(**numbers)  # pyright: ignore[reportReturnType]
 
 
 def make_batch(heads, terminal=0.3, seed=0, size=B) -> Transition:

@@ -74,7 +74,7 @@ def test_what_is_written_is_what_was_there_when_it_began(trainer, states, tmp_pa
 
 
 def _own_buffer(leaf):
-    keys = jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+    keys = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
     return leaf if keys else np.array(leaf, copy=True)
 
 
