@@ -13,7 +13,7 @@ import tempfile
 
 import numpy as np
 
-from benchmarks import commands, driving, learning, physics, sweep
+from benchmarks import commands, devices, driving, growth, learning, physics, sweep
 
 ROUNDS = 3
 REPORT = pathlib.Path("benchmarks/results.md")
@@ -31,6 +31,8 @@ def main() -> None:
         _start(rounds),
         driving.report(),
         sweep.report(rounds, quick),
+        devices.report(quick),
+        growth.report(quick),
     ]
     text = "\n\n".join(sections) + "\n"
     if not quick:

@@ -106,9 +106,9 @@ def section(plan: Plan) -> str:
         "![Spread and return during training](fig2.png)\n\n"
         f"Pendulum, M = 10, n = {len(found)} seeds: thin lines, and their median, thick; runs of "
         f"{config.steps:,} steps, with an evaluation of {config.evaluation_episodes} episodes from "
-        f"the same starts every {every:,.0f}. The spread is in units of the range [-1, 1] of "
-        f"actions. Grey: the learning phase, in which C3 is judged. Its spikes are sought in the "
-        "second half."
+        f"the same starts every {every:,.0f}. Actions are in [-1, 1]: a "
+        "spread of 0.02 is 1 % of the range. Grey: the learning phase, in which C3 is judged. Its "
+        "spikes are sought in the second half."
     )
 
 

@@ -1,0 +1,154 @@
+"""How time and memory of a turn grow with its environments, heads, replay, observation and seeds.
+
+A turn steps every environment once and makes one update, on a task that costs next to nothing.
+"""
+
+import dataclasses
+import statistics
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import envs
+from envs.base import Action
+from mapg_jax.training.config import Config, preset
+from mapg_jax.training.lockstep import Lockstep
+
+SECONDS = 0.5
+"""Of a measurement, at least."""
+ROUNDS = 3
+
+
+class Plain(envs.Env):
+    """A walk in D dimensions, moved by its first."""
+
+    action_high = np.ones(1, np.float32)
+
+    def __init__(self, size: int = 8):
+        self._size = size
+
+    @property
+    def observation_size(self) -> int:
+        return self._size
+
+    @property
+    def action_size(self) -> int:
+        return 1
+
+    @property
+    def backend(self) -> str:
+        return "jax"
+
+    def reset(self, rng: jax.Array) -> envs.State:
+        observation, zero = jax.random.normal(rng, (self._size,)), jnp.zeros(())
+        return envs.State(observation, observation, zero, zero, {}, {})
+
+    def step(self, state: envs.State, action: Action) -> envs.State:
+        observation = 0.99 * jnp.asarray(state.obs) + 0.1 * self.clipped(action)[0]
+        return state.replace(
+            pipeline_state=observation, obs=observation, reward=-(observation[0] ** 2)
+        )
+
+
+class Cost(NamedTuple):
+    """Of one turn."""
+
+    seconds: float
+    bytes: int
+    """Of the state, and of what the compiled program needs beside it."""
+
+
+def configure(environments: int = 16, size: int = 8, **changes) -> Config:
+    """One update a turn; the replay is taken as full."""
+    return preset(
+        "paper",
+        env="growth",
+        env_options={"size": size},
+        environments=environments,
+        updates_per_step=1 / environments,
+        learning_starts=64,
+        **{"replay_size": 100_000, **changes},
+    )
+
+
+AXES: dict[str, tuple[str, Sequence[int], Callable[[int], Sequence[Config]]]] = {
+    "environments": (
+        "environments", (1, 4, 16, 64, 256, 1_024, 4_096), lambda n: [configure(n)]),
+    "heads": ("M", (1, 3, 10, 30, 100), lambda m: [configure(heads=m)]),
+    "replay": (
+        "slots of the replay", (10_000, 100_000, 1_000_000, 10_000_000),
+        lambda slots: [configure(replay_size=slots)]),
+    "observation": ("numbers observed", (4, 16, 64, 256, 1_024), lambda d: [configure(size=d)]),
+    "seeds": (
+        "seeds in lockstep", (1, 2, 4, 8, 16),
+        lambda n: [dataclasses.replace(configure(), seed=k) for k in range(n)]),
+}  # fmt: skip
+"""By name: what it counts, its values, and the runs of one value."""
+
+
+def report(quick: bool) -> str:
+    """The section of the page."""
+    if "growth" not in envs.names():
+        envs.register("growth", Plain, time_limit=200)
+    lines = [
+        "## How cost grows",
+        "",
+        f"A turn steps {configure().environments} environments that cost next to nothing and makes "
+        "one update of MAPG (M = 10, batch 64, observations of 8, replay of 100,000); one of these "
+        f"numbers changes at a time. Medians of {1 if quick else ROUNDS}. The exponent is the "
+        "slope of the logarithms over the last two values, and over all of them.",
+        "",
+        "| | | turns/s | µs a turn | exponent, end | exponent, all | memory, MB |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for title, values, runs in AXES.values():
+        counts = values[:2] if quick else values
+        costs = [measure(runs(count), quick) for count in counts]
+        lines += _rows(title, counts, costs)
+    return "\n".join(lines)
+
+
+def _rows(title: str, counts: Sequence[int], costs: Sequence[Cost]) -> Iterator[str]:
+    logs = np.log(counts), np.log([cost.seconds for cost in costs])
+    whole = float(np.polyfit(*logs, 1)[0])
+    for i, (count, cost) in enumerate(zip(counts, costs, strict=True)):
+        last = i == len(counts) - 1
+        end = float(np.diff(logs[1])[-1] / np.diff(logs[0])[-1])
+        slopes = f"{end:.2f} | {whole:.2f}" if last else " | "
+        yield (
+            f"| {title if i == 0 else ''} | {count:,} | {1 / cost.seconds:,.0f} | "
+            f"{1e6 * cost.seconds:,.0f} | {slopes} | {cost.bytes / 1e6:,.1f} |"
+        )
+
+
+def measure(configs: Sequence[Config], quick: bool) -> Cost:
+    """Time and memory of a turn of these runs, once they learn."""
+    program = Lockstep(configs)
+    state = program.init()
+    replay = state.replay
+    full = replay.replace(size=jnp.full_like(replay.size, configs[0].replay_size))
+    state = state.replace(replay=full)
+    run = program.jitted_run.lower(state, 0).compile()
+    memory = run.memory_analysis()
+    turns = 64
+    state, seconds = _timed(run, state, turns)  # fills what learning waits for
+    times = []
+    for _ in range(1 if quick else ROUNDS):
+        while True:
+            state, seconds = _timed(run, state, turns)
+            if quick or seconds > SECONDS:
+                break
+            turns = int(turns * min(16.0, 1.2 * SECONDS / max(seconds, 1e-4))) + 1
+        times.append(seconds / turns)
+    bytes_ = memory.argument_size_in_bytes + memory.temp_size_in_bytes
+    return Cost(statistics.median(times), bytes_)
+
+
+def _timed(run, state, turns: int):
+    begun = time.perf_counter()
+    state = jax.block_until_ready(run(state, turns))
+    return state, time.perf_counter() - begun
