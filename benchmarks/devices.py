@@ -25,12 +25,13 @@ print(turns * 512 / (time.perf_counter() - begun))
 
 def report(quick: bool) -> str:
     """The section of the page."""
+    cores = len(os.sched_getaffinity(0))
     lines = [
         f"## One run of {SHARDS} shards over devices",
         "",
         "Pendulum, 512 environments, batches of 512, one update a turn, on host devices that XLA "
-        f"is told to have: they share {len(os.sched_getaffinity(0))} cores, so that this shows that "
-        "it runs and what the sharing costs, not what several accelerators would give.",
+        f"is told to have: they share {cores} cores, so that this shows that it "
+        "runs and what the sharing costs, not what several accelerators would give.",
         "",
         "| devices | steps/s | of one |",
         "|---|---|---|",

@@ -7,7 +7,7 @@ import dataclasses
 import statistics
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -45,7 +45,7 @@ class Plain(envs.Env):
 
     def reset(self, rng: jax.Array) -> envs.State:
         observation, zero = jax.random.normal(rng, (self._size,)), jnp.zeros(())
-        return envs.State(observation, observation, zero, zero, {}, {})
+        return envs.State(cast(Any, observation), observation, zero, zero, {}, {})
 
     def step(self, state: envs.State, action: Action) -> envs.State:
         observation = 0.99 * jnp.asarray(state.obs) + 0.1 * self.clipped(action)[0]
@@ -133,7 +133,7 @@ def measure(configs: Sequence[Config], quick: bool) -> Cost:
     full = replay.replace(size=jnp.full_like(replay.size, configs[0].replay_size))
     state = state.replace(replay=full)
     run = program.jitted_run.lower(state, 0).compile()
-    memory = run.memory_analysis()
+    memory = _bytes(run)
     turns = 64
     state, seconds = _timed(run, state, turns)  # fills what learning waits for
     times = []
@@ -144,8 +144,13 @@ def measure(configs: Sequence[Config], quick: bool) -> Cost:
                 break
             turns = int(turns * min(16.0, 1.2 * SECONDS / max(seconds, 1e-4))) + 1
         times.append(seconds / turns)
-    bytes_ = memory.argument_size_in_bytes + memory.temp_size_in_bytes
-    return Cost(statistics.median(times), bytes_)
+    return Cost(statistics.median(times), memory)
+
+
+def _bytes(run: Any) -> int:
+    """Of its arguments, and of what it needs beside them, as its compiler says."""
+    analysis = run.memory_analysis()
+    return analysis.argument_size_in_bytes + analysis.temp_size_in_bytes
 
 
 def _timed(run, state, turns: int):
