@@ -212,7 +212,7 @@ def _refuse_to_overwrite(out: pathlib.Path) -> None:
 
 def _hugging_face():
     try:
-        import huggingface_hub
+        import huggingface_hub  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise ValueError(
             "the Hugging Face Hub needs: pip install 'mapg-jax[hub]'; a path (./folder) needs "
