@@ -16,14 +16,23 @@ import numpy as np
 from benchmarks import commands, devices, driving, growth, learning, physics, sweep
 
 ROUNDS = 3
+ALONE = {"devices": devices.report, "growth": growth.report}
 REPORT = pathlib.Path("benchmarks/results.md")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="only see that it runs")
-    quick = parser.parse_args().quick
+    parser.add_argument(
+        "--only", nargs="+", choices=list(ALONE), help="these sections of the page, anew"
+    )
+    arguments = parser.parse_args()
+    quick = arguments.quick
     rounds = 1 if quick else ROUNDS
+    if arguments.only:
+        for name in arguments.only:
+            _renew(ALONE[name](quick), quick)
+        return
     sections = [
         _header(rounds),
         learning.report(rounds, quick),
@@ -38,6 +47,18 @@ def main() -> None:
     if not quick:
         REPORT.write_text(text)
     print(text)
+
+
+def _renew(section: str, quick: bool) -> None:
+    """Puts a section in the place of the one of its title, or at the end of the page."""
+    print(section)
+    if quick:
+        return
+    today = f"Measured by itself on {datetime.date.today()}."
+    title, _, rest = section.partition("\n")
+    page = REPORT.read_text().rstrip().split("\n\n## ")
+    kept = [part for part in page if part.partition("\n")[0] != title.removeprefix("## ")]
+    REPORT.write_text("\n\n## ".join([*kept, f"{title[3:]}\n\n{today}{rest}"]) + "\n")
 
 
 def _header(rounds: int) -> str:
