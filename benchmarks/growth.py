@@ -101,7 +101,8 @@ def report(quick: bool) -> str:
         "one update of MAPG (M = 10, batch 64, observations of 8, replay of 100,000); one of these "
         f"numbers changes at a time. Medians of {1 if quick else ROUNDS}. The exponent is the "
         "slope of the logarithms over the last two values, and over all of them: near 0 a turn "
-        "costs its instructions, whatever they work on; it bends where the work begins to cost more.",
+        "costs its instructions, whatever they work on; it bends where the work begins to cost "
+        "more.",
         "",
         "| | | turns/s | µs a turn | exponent, end | exponent, all | memory, MB |",
         "|---|---|---|---|---|---|---|",
