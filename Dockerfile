@@ -1,4 +1,4 @@
-# CPU: docker build -t mapg-jax . && docker run --rm -v "$PWD/runs:/work/runs" mapg-jax train --env hopper --heads 10
+# CPU: docker build -t mapg-jax . && docker run --rm -v "$PWD/runs:/data/runs" mapg-jax train --env hopper --heads 10
 # CUDA: docker build --build-arg EXTRA='jax[cuda13]' … && docker run --gpus all …
 FROM python:3.12-slim
 ARG EXTRA=""
@@ -8,6 +8,6 @@ COPY mapg_jax mapg_jax
 COPY envs envs
 COPY experiments experiments
 RUN pip install --no-cache-dir --constraint constraints.txt . ${EXTRA}
-WORKDIR /work
+WORKDIR /data
 ENTRYPOINT ["mapg"]
 CMD ["--help"]

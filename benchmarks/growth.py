@@ -75,19 +75,16 @@ def configure(environments: int = 16, size: int = 8, **changes) -> Config:
     )
 
 
-AXES: dict[str, tuple[str, Sequence[int], Callable[[int], Sequence[Config]]]] = {
-    "environments": (
-        "environments", (1, 4, 16, 64, 256, 1_024, 4_096), lambda n: [configure(n)]),
-    "heads": ("M", (1, 3, 10, 30, 100), lambda m: [configure(heads=m)]),
-    "replay": (
-        "slots of the replay", (10_000, 100_000, 1_000_000, 10_000_000),
-        lambda slots: [configure(replay_size=slots)]),
-    "observation": ("numbers observed", (4, 16, 64, 256, 1_024), lambda d: [configure(size=d)]),
-    "seeds": (
-        "seeds in lockstep", (1, 2, 4, 8, 16),
-        lambda n: [dataclasses.replace(configure(), seed=k) for k in range(n)]),
-}  # fmt: skip
-"""By name: what it counts, its values, and the runs of one value."""
+AXES: tuple[tuple[str, Sequence[int], Callable[[int], Sequence[Config]]], ...] = (
+    ("environments", (1, 4, 16, 64, 256, 1_024, 4_096), lambda n: [configure(n)]),
+    ("M", (1, 3, 10, 30, 100), lambda m: [configure(heads=m)]),
+    ("slots of the replay", (10_000, 100_000, 1_000_000, 10_000_000),
+     lambda slots: [configure(replay_size=slots)]),
+    ("numbers observed", (4, 16, 64, 256, 1_024), lambda d: [configure(size=d)]),
+    ("seeds in lockstep", (1, 2, 4, 8, 16),
+     lambda n: [dataclasses.replace(configure(), seed=k) for k in range(n)]),
+)  # fmt: skip
+"""What is counted, its values, and the runs of one value."""
 
 
 def report(quick: bool) -> str:
@@ -107,7 +104,7 @@ def report(quick: bool) -> str:
         "| | | turns/s | µs a turn | exponent, end | exponent, all | memory, MB |",
         "|---|---|---|---|---|---|---|",
     ]
-    for title, values, runs in AXES.values():
+    for title, values, runs in AXES:
         counts = values[:2] if quick else values
         costs = [measure(runs(count), quick) for count in counts]
         lines += _rows(title, counts, costs)
@@ -131,13 +128,12 @@ def measure(configs: Sequence[Config], quick: bool) -> Cost:
     """Time and memory of a turn of these runs, once they learn."""
     program = Lockstep(configs)
     state = program.init()
-    replay = state.replay
-    full = replay.replace(size=jnp.full_like(replay.size, configs[0].replay_size))
-    state = state.replace(replay=full)
+    size = jnp.full_like(state.replay.size, configs[0].replay_size)
+    state = state.replace(replay=state.replay.replace(size=size))  # as if it were full
     run = program.jitted_run.lower(state, 0).compile()
     memory = _bytes(run)
     turns = 64
-    state, seconds = _timed(run, state, turns)  # fills what learning waits for
+    state, _ = _timed(run, state, turns)  # fills what learning waits for
     times = []
     for _ in range(1 if quick else ROUNDS):
         while True:

@@ -65,7 +65,7 @@ def metrics(drive: Drive) -> dict[str, jax.Array]:
     }
 
 
-def _best(lap_times: Values) -> Values:
+def _best(lap_times: jax.Array) -> jax.Array:
     """s, the shortest of the laps that are completed; 0 before the first one's end."""
     best = jnp.where(lap_times > 0, lap_times, jnp.inf).min()
     return jnp.where(jnp.isfinite(best), best, 0.0)

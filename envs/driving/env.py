@@ -31,6 +31,8 @@ GRASS_FRICTION, GRASS_ROLLING = 0.4, 0.01
 LONGEST_PHYSICS_STEP = 0.005  # s; see `vehicle.step_car`
 LAP_TIMES_KEPT = 10
 """Where no `max_laps` says how many there can be."""
+MOST_LAPS = 1_000
+"""Of `max_laps`: each car carries the time of every lap."""
 
 
 class Driving(Env):
@@ -107,6 +109,8 @@ class Driving(Env):
         self._slow_end = -math.inf if slow_end is None else _limit("slow_end", slow_end)
         self._slow_steps = math.ceil(_limit("slow_time", slow_time) * control_hz)
         self._max_laps = _limit("max_laps", max_laps)
+        if MOST_LAPS < self._max_laps < math.inf:
+            raise ValueError(f"max_laps must be at most {MOST_LAPS}, got {max_laps}")
         self._lap_times = LAP_TIMES_KEPT if max_laps is None else max_laps
         if not (math.isfinite(off_track_penalty) and off_track_penalty >= 0):
             raise ValueError(f"off_track_penalty must be at least 0, got {off_track_penalty}")

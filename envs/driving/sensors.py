@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from envs.driving.bank import SIGHT, Place, TrackBank
-from envs.driving.vehicle import Car, wrap
+from envs.driving.vehicle import WIDTH, Car, wrap
 
 RAY_ANGLES = {
     "snakeoil": (
@@ -82,7 +82,8 @@ def bounds(position: float, lookahead: int) -> tuple[np.ndarray, np.ndarray]:
     wheels = TOP_SPEED / 0.3 / 100.0  # of a radius of more than 0.3 m, half as fast again
     highest = [1.0, *[1.0] * 19, position, *[speed] * 3, *[1.5 * wheels] * 4, 1.5]
     lowest = [-1.0, *[OFF_TRACK / SIGHT] * 19, *(-x for x in highest[20:28]), 0.0]
-    curvature = [CURVATURE_SCALE] * lookahead  # no road has a radius of less than 1 m
+    sharpest = 2 / WIDTH  # 1/m: no road turns tighter than half of it, nor is narrower than a car
+    curvature = [2 * CURVATURE_SCALE * sharpest] * lookahead  # of its polyline, a little more
     return (
         np.array(lowest + [-x for x in curvature], np.float32),
         np.array(highest + curvature, np.float32),

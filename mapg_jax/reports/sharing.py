@@ -8,6 +8,7 @@ import json
 import os
 import pathlib
 import shutil
+import tempfile
 from typing import Any, Protocol, runtime_checkable
 
 import yaml
@@ -85,8 +86,6 @@ def push(path: str | os.PathLike, name: str) -> str:
     Raises:
       ValueError: if the run has no policy or no score, or the hub refuses.
     """
-    import tempfile
-
     with tempfile.TemporaryDirectory() as parent:
         folder = pathlib.Path(parent) / "policy"
         bundle(path, folder)

@@ -144,6 +144,7 @@ def test_episodes_draw_their_car():
     "options, message",
     [
         ({"max_laps": 0}, "max_laps must be above 0 or None, got 0"),
+        ({"max_laps": 10**9}, "max_laps must be at most 1000, got 1000000000"),
         ({"off_track_penalty": -1.0}, "off_track_penalty must be at least 0, got -1.0"),
         ({"lookahead": (-5.0,)}, "lookahead must be distances of at least 0 m"),
         ({"grip": 0.0}, "grip must be a factor from 0.1 to 10, got 0.0"),
