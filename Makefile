@@ -3,13 +3,13 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: demo test test-slow test-mjx test-cluster test-onnx test-trackers test-sb3 test-browser torture check lint types docs notebooks results bench bench-peers bench-compare clean
+.PHONY: demo test test-slow test-mjx test-cluster test-onnx test-trackers test-sb3 test-playground test-browser torture check lint types docs notebooks results bench bench-peers bench-compare clean
 
 demo: .venv/ready  ## train MAPG (M = 10) on Pendulum and score it over 100 episodes
 	$(BIN)/mapg train --env pendulum --heads 10 --steps 40000 --evaluate-every 2000
 
 test: .venv/ready  ## the tests, under 12 minutes on 2 cores
-	$(PYTEST) -n 2 --dist loadfile -m "not mjx and not slow and not cluster and not onnx and not trackers and not sb3 and not browser"
+	$(PYTEST) -n 2 --dist loadfile -m "not mjx and not slow and not cluster and not onnx and not trackers and not sb3 and not playground and not browser"
 
 test-slow: .venv/ready  ## every algorithm resumes, learns and goes in lockstep; training by Brax; lowering
 	$(PYTEST) -n 2 -m "slow and not mjx"
@@ -32,6 +32,10 @@ test-onnx: .venv/ready  ## policies as ONNX, read by onnxruntime
 test-sb3: .venv/ready  ## our environments in Stable-Baselines3
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,sb3]'
 	$(PYTEST) -m sb3
+
+test-playground: .venv/ready  ## MuJoCo Playground's environments
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,playground]'
+	$(PYTEST) -m playground
 
 test-browser: .venv/ready  ## pages in a browser: Debian's chromium and chromium-driver
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,browser]'

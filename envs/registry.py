@@ -14,7 +14,7 @@ from envs.values import fits
 if TYPE_CHECKING:  # at run time each is imported where an environment is made: see `envs`
     from envs.base import Env
 
-BRAX, GYMNASIUM = "brax:", "gym:"
+BRAX, GYMNASIUM, PLAYGROUND = "brax:", "gym:", "playground:"
 ENTRY_POINTS = "mapg_jax.envs"
 """The group in which an installed package names its environments."""
 PHYSICS_ENGINES = ("native", "mjx")
@@ -80,7 +80,8 @@ def register(
 
 
 def names() -> tuple[str, ...]:
-    """The names that `make` takes, besides `brax:<name>` and `gym:<name>`.
+    """The names that `make` takes, besides `brax:<name>`, `gym:<name>` and
+    `playground:<name>`.
 
     Those of installed packages are not loaded.
     """
@@ -109,12 +110,19 @@ def spec(name: str) -> EnvSpec:
         own = name.removeprefix(GYMNASIUM)
         make, limit = hosted.constructor(own), hosted.time_limit(own)
         return EnvSpec(name, ("gymnasium",), own, limit, make)
+    if name.startswith(PLAYGROUND):
+        from envs.interop import playground
+
+        own = name.removeprefix(PLAYGROUND)
+        make, limit = playground.constructor(own), playground.time_limit(own)
+        return EnvSpec(name, ("mjx",), None, limit, make)
     if name not in _SPECS:
         found = _entry_points()
         if name not in found:
             raise ValueError(
                 f"unknown environment {name!r}; known are {', '.join(names())}, "
-                f"{BRAX}<name> for those of Brax and {GYMNASIUM}<name> for those of Gymnasium"
+                f"{BRAX}<name> for those of Brax, {GYMNASIUM}<name> for those of Gymnasium and "
+                f"{PLAYGROUND}<name> for those of MuJoCo Playground"
             )
         _load(found[name])
     return _SPECS[name]
@@ -124,7 +132,8 @@ def make(name: str, /, engine: str = "auto", **options: Any) -> "Env":
     """The bare task `name`: `done` is termination only; no time limit and no automatic reset.
 
     Args:
-      name: one of `names()`, `brax:<name>` for one of Brax's, or `gym:<name>` for Gymnasium's.
+      name: one of `names()`, `brax:<name>` for one of Brax's, `gym:<name>` for Gymnasium's, or
+        `playground:<name>` for MuJoCo Playground's.
       engine: a physics engine; "auto" takes MuJoCo's C engine where JAX runs on a CPU, else MJX.
       **options: the constructor arguments of the task, Gymnasium's where it equals one of them.
 
@@ -151,7 +160,7 @@ def _default_engine(spec: EnvSpec) -> str:
 def _check_options(
     name: str, parameters: Mapping[str, inspect.Parameter], options: Mapping[str, Any]
 ) -> None:
-    if name.startswith(GYMNASIUM):  # whose constructors say what they take
+    if name.startswith((GYMNASIUM, PLAYGROUND)):  # whose constructors say what they take
         return
     known = {k: p for k, p in parameters.items() if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)}
     for option, value in options.items():

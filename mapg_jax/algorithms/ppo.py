@@ -74,7 +74,13 @@ class Ppo(OnPolicy):
     Metrics: ClassVar = UpdateMetrics
     presets: ClassVar = {
         "reference": {"rollout_steps": 2048, "hidden": (64, 64), "normalize": True},
-        "parallel": {"rollout_steps": 16, "minibatches": 32, "epochs": 4},
+        "parallel": {  # minibatches and epochs of Brax's PPO; rollouts as long, and steps as small,
+            # as driving took to settle (docs/parallel.md)
+            "rollout_steps": 64,
+            "minibatches": 32,
+            "epochs": 4,
+            "actor_learning_rate": 2e-4,
+        },
         "smoke": {"rollout_steps": 32, "minibatches": 4},
     }
 

@@ -40,4 +40,5 @@ def run(arguments: argparse.Namespace, out: TextIO) -> None:
         )
     console(out).print(table)
     print("brax:NAME takes any environment of Brax.", file=out)
+    print("playground:NAME takes any of MuJoCo Playground, on MJX.", file=out)
     print("gym:NAME takes any of Gymnasium with flat boxes, stepped on the host.", file=out)

@@ -1,5 +1,6 @@
 """What a run was made by: the same bits come again on the same machine, by the same code."""
 
+import contextlib
 import os
 import pathlib
 import platform
@@ -14,6 +15,20 @@ CODE = ("mapg_jax", "envs")
 EXTENSIONS = ("sse4_2", "avx", "avx2", "fma", "avx512f", "avx512_bf16", "amx_tile", "neon", "sve")
 """Of a processor's instruction set, those that decide which programs XLA makes."""
 
+PRECISION = "highest"
+"""Of matrix products in float32, where JAX's own setting names none: accelerators would take
+TF32 or bfloat16 for them, which harms the physics and the learning (MuJoCo Playground, #86)."""
+
+
+def precise() -> contextlib.AbstractContextManager:
+    """What is compiled within multiplies matrices with `precision()`."""
+    return jax.default_matmul_precision(precision())
+
+
+def precision() -> str:
+    """JAX_DEFAULT_MATMUL_PRECISION, or ours."""
+    return str(jax.config.jax_default_matmul_precision or PRECISION)
+
 
 def this_host(engine: str) -> dict[str, str]:
     """What is recorded of the process that trains, as text; '' where the platform does not tell.
@@ -27,6 +42,7 @@ def this_host(engine: str) -> dict[str, str]:
         "commit": commit(),
         "threads": os.environ.get("NPROC", str(cpus())),  # of XLA
         "engine": engine,
+        "precision": precision(),  # of matrix products
     }
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from mapg_jax.runs import hosts
 from mapg_jax.runs.checkpoints import DamagedError
 from mapg_jax.runs.folder import RunFolder
-from mapg_jax.runs.host import this_host
+from mapg_jax.runs.host import precise, this_host
 from mapg_jax.runs.locking import Lock
 from mapg_jax.runs.member import Member
 from mapg_jax.runs.metrics import MetricsFile, Row
@@ -153,6 +153,7 @@ class Run:
         """
         with contextlib.ExitStack() as stack:
             host = this_host(self.trainer.env.backend)
+            stack.enter_context(precise())
             ours = hosts.is_first()  # who writes
             working = [self.members[k] for k in self._healthy() if ours]
             for lock in self._locks or [member.folder.lock() for member in working]:

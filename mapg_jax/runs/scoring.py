@@ -11,6 +11,7 @@ import numpy as np
 
 import envs
 from mapg_jax.runs.folder import RunFolder, write_json
+from mapg_jax.runs.host import precise
 from mapg_jax.runs.memory import available_bytes
 from mapg_jax.runs.policy import Policy, open_policy
 from mapg_jax.runs.sealing import write_score
@@ -74,7 +75,8 @@ def score(
         raise ValueError(f"episodes must be at least 1, got {episodes}")
     policy = open_policy(folder, seed, select)
     play_in = _in_gymnasium if physics == "gymnasium" else _in_jax
-    physics, returns, lengths, extra = play_in(folder, policy, episodes, physics, select, seed)
+    with precise():
+        physics, returns, lengths, extra = play_in(folder, policy, episodes, physics, select, seed)
     summary = summarize(returns)
     return {
         "env": folder.config.env,

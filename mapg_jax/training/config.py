@@ -22,7 +22,7 @@ class Config(Options):
 
     env: str = option(
         "pendulum",
-        "Environment: a name of `mapg envs`, brax:NAME or gym:NAME.",
+        "Environment: a name of `mapg envs`, brax:NAME, gym:NAME or playground:NAME.",
         known=envs.names,
     )
     env_options: tuple[str, ...] = option((), "Options of the environment, as name=value.")
@@ -260,7 +260,6 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
     "parallel": {
         # Thousands of environments on an accelerator, 16 samples per environment step (Li et al.
         # 2023); what each algorithm adds stands in its own file.
-        "engine": "mjx",
         "steps": 50_000_000,
         "environments": 4096,
         "updates_per_step": 8 / 4096,

@@ -7,6 +7,7 @@ import platform
 import re
 import shutil
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import oracles
@@ -15,11 +16,13 @@ import pytest
 from mapg_jax.runs import disk
 from mapg_jax.runs.checkpoints import Checkpoints
 from mapg_jax.runs.folder import RunFolder, write_json
+from mapg_jax.runs.host import precise, this_host
 from mapg_jax.runs.member import DivergedError, Member
 from mapg_jax.runs.memory import prepare
 from mapg_jax.runs.metrics import read_metrics
 from mapg_jax.runs.run import Run
 from mapg_jax.runs.train import begin, take_up
+from mapg_jax.training.trainer import make_trainer
 
 
 def test_metrics_have_a_row_an_evaluation(finished_run):
@@ -42,9 +45,22 @@ def test_metrics_have_a_row_an_evaluation(finished_run):
 def test_the_folder_names_what_trained_the_run(finished_run):
     record = json.loads((finished_run.path / "config.json").read_text())
     host = record["history"][-1]["host"]
-    assert set(host) == {"processor", "instructions", "commit", "threads", "engine"}
+    assert set(host) == {"processor", "instructions", "commit", "threads", "engine", "precision"}
     assert host["engine"] == "jax" and host["threads"] == os.environ["NPROC"]
     assert host["instructions"].startswith(platform.machine())
+
+
+def test_products_of_matrices_are_precise_on_accelerators():
+    trainer = make_trainer(oracles.RUN)
+    with precise():
+        text = trainer.jitted_run.lower(trainer.shapes, 1).as_text()
+    products = [line for line in text.splitlines() if "dot_general" in line]
+    assert products and all("precision = [HIGHEST, HIGHEST]" in line for line in products)
+
+
+def test_a_users_own_precision_wins():
+    with jax.default_matmul_precision("tensorfloat32"), precise():
+        assert this_host("jax")["precision"] == "tensorfloat32"
 
 
 def test_fixed_starts_are_those_of_every_evaluation():

@@ -12,7 +12,7 @@ import pytest
 from jax import export
 
 import envs
-from mapg_jax.algorithms import heads
+from mapg_jax.algorithms import heads, registry
 from mapg_jax.training.agent import Agent
 from mapg_jax.training.config import Config, preset
 from mapg_jax.training.state import tree_bytes
@@ -372,10 +372,16 @@ def test_the_bytes_are_those_of_the_state():
     assert trainer.bytes == tree_bytes(state) == sum(x.nbytes for x in jax.tree.leaves(state))
 
 
+PARALLEL = [("hopper", name) for name in registry.names()] + [
+    (name, "mapg") for name in envs.names() if "mjx" in envs.spec(name).engines
+]
+
+
 @pytest.mark.slow
-def test_the_parallel_preset_lowers_for_accelerators(their_code):
-    """4,096 MJX Hoppers, a whole chunk, without a GPU or a TPU."""
-    config = preset("parallel", env="hopper")
+@pytest.mark.parametrize("env, algorithm", sorted(set(PARALLEL)))
+def test_the_parallel_preset_lowers_for_accelerators(env, algorithm, their_code):
+    """4,096 environments of MJX, a whole chunk, without a GPU or a TPU."""
+    config = preset("parallel", algorithm, env=env, engine="mjx")
     trainer = make_trainer(config)
     assert (config.environments, trainer.env.backend) == (4096, "mjx")
     lowered = export.export(trainer.jitted_run, platforms=("cuda", "tpu"))(

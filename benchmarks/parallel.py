@@ -1,0 +1,282 @@
+"""python -m benchmarks.parallel: what `parallel` learns in ten minutes of a core, beside `paper`.
+
+A run is one `mapg train` with one thread, stopped after ten minutes; as many go side by side as
+there are cores. Its evaluations go to benchmarks/parallel.csv, and what stands there is not run
+again, so that the command goes on where it was stopped. docs/parallel.md is made of that file.
+"""
+
+import argparse
+import concurrent.futures
+import os
+import pathlib
+import shlex
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import matplotlib.figure
+import numpy as np
+
+from benchmarks import commands
+from mapg_jax.reports import document, plots
+from mapg_jax.runs import csv_file
+from mapg_jax.runs.metrics import read_metrics
+
+FILE = commands.ROOT / "benchmarks/parallel.csv"
+PAGE = commands.ROOT / "docs/parallel.md"
+PICTURE = commands.ROOT / "docs/parallel.png"
+SEEDS = (0, 1, 2)
+PRESETS = ("paper", "parallel")
+HEADER = (
+    "task", "algorithm", "preset", "seed", "seconds", "env_steps", "return_mean", "lap_share"
+)  # fmt: skip
+DRIVING = "--env-options control_hz=10 start=anywhere --time-limit 2000"
+
+
+class Task(NamedTuple):
+    """What is learned, and by how many environments where they are many."""
+
+    flags: str
+    environments: int
+    algorithms: tuple[str, ...]
+    evaluate_every: Mapping[str, int]
+    """Environment steps, by preset: every half a minute or so."""
+    minutes: tuple[int, int, int] = (2, 5, 10)
+    """After which runs are compared; the last is when they are stopped."""
+
+
+TASKS = {
+    "driving": Task(DRIVING, 1024, ("mapg", "ppo"), {"paper": 50_000, "parallel": 500_000}),
+    "pendulum": Task(
+        "", 4096, ("mapg", "ppo"), {"paper": 20_000, "parallel": 1_000_000}, (1, 2, 5)
+    ),
+    "halfcheetah": Task(
+        "", 256, ("mapg", "ppo", "td3", "sac"), {"paper": 50_000, "parallel": 150_000}
+    ),
+    "hopper": Task("", 256, ("mapg", "ppo"), {"paper": 50_000, "parallel": 150_000}),
+}
+
+
+class Run(NamedTuple):
+    """One training."""
+
+    task: str
+    algorithm: str
+    preset: str
+    seed: int
+
+    def flags(self) -> list[str]:
+        """Of `mapg train`."""
+        task = TASKS[self.task]
+        flags = f"--env {self.task} {task.flags} --algorithm {self.algorithm} --seed {self.seed} "
+        flags += f"--preset {self.preset} --evaluate-every {task.evaluate_every[self.preset]} "
+        if self.preset == "parallel":
+            flags += of_parallel(self.algorithm, task.environments)
+        return shlex.split(f"{flags} --steps 2000000000 --no-save-replay")
+
+
+def of_parallel(algorithm: str, environments: int) -> str:
+    """The preset at another number of environments, in its proportions, with the paper's networks.
+
+    Learning from replay: two samples of the batch an environment, eight updates a turn.
+    """
+    flags = f"--hidden 64 64 --environments {environments}"
+    if algorithm == "ppo":
+        return flags
+    return (
+        f"{flags} --batch-size {2 * environments} --updates-per-step {8 / environments} "
+        f"--learning-starts {32 * environments}"
+    )
+
+
+def runs() -> Iterator[Run]:
+    """In order: every cell gets a seed before any gets its next."""
+    for seed in SEEDS:
+        for name, task in TASKS.items():
+            for algorithm in task.algorithms:
+                for preset in reversed(PRESETS):
+                    yield Run(name, algorithm, preset, seed)
+
+
+def measure(run: Run, stopping: threading.Event) -> list[dict[str, float]]:
+    """The evaluations of a training until its time is up, the time to compile included."""
+    with tempfile.TemporaryDirectory() as parent:
+        out = pathlib.Path(parent) / "run"
+        command = [sys.executable, "-P", "-m", "mapg_jax", "train", *run.flags(), "--out", out]
+        environment = {**os.environ, "PYTHONPATH": str(commands.ROOT), "NPROC": "1"}
+        with subprocess.Popen(
+            command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        ) as process:
+            for _ in range(60 * TASKS[run.task].minutes[-1]):
+                if stopping.wait(1.0) or process.poll() is not None:
+                    break
+            ended = process.poll() is not None
+            process.send_signal(signal.SIGTERM)
+            said = process.communicate()[1]
+        if ended:
+            raise RuntimeError(f"{shlex.join(run.flags())} ended by itself: {said[-500:]}")
+        return [] if stopping.is_set() else read_metrics(out / "metrics.csv")
+
+
+def train(workers: int) -> None:
+    """What is missing; a row of the file is an evaluation."""
+    done = set(evaluations(FILE))
+    lock, stopping = threading.Lock(), threading.Event()
+
+    def one(run: Run) -> None:
+        rows = [] if stopping.is_set() else measure(run, stopping)
+        with lock:
+            header, old = csv_file.read(FILE)
+            new = [[*run, *(row.get(name, "") for name in HEADER[len(run) :])] for row in rows]
+            csv_file.write(FILE, header or HEADER, [*old, *new])
+            print(shlex.join(map(str, run)), f"{len(rows)} evaluations", flush=True)
+
+    with concurrent.futures.ThreadPoolExecutor(workers) as pool:
+        try:
+            left = [pool.submit(one, run) for run in runs() if run not in done]
+            for future in concurrent.futures.as_completed(left):
+                future.result()
+        finally:
+            stopping.set()
+
+
+Curve = Mapping[str, np.ndarray]
+
+
+def evaluations(file: pathlib.Path) -> dict[Run, Curve]:
+    """Of every run of the file, its columns."""
+    found: dict[Run, list[list[float]]] = {}
+    for task, algorithm, preset, seed, *numbers in csv_file.read(file)[1]:
+        run = Run(task, algorithm, preset, int(seed))
+        found.setdefault(run, []).append([float(x or "nan") for x in numbers])
+    return {
+        run: dict(zip(HEADER[4:], np.array(rows).T, strict=True)) for run, rows in found.items()
+    }
+
+
+def after(curve: Curve, minutes: float, column: str = "return_mean") -> float:
+    """Of the last evaluation until then; nan before the first."""
+    until = curve["seconds"] <= 60 * minutes
+    return float(curve[column][until][-1]) if until.any() else float("nan")
+
+
+def returns(found: Mapping[Run, Curve]) -> document.Table:
+    """What has been learned after some minutes, by task and algorithm."""
+    rows = [
+        (task, algorithm, str(minutes), *_compared(found, task, algorithm, minutes))
+        for task, of_task in TASKS.items()
+        for algorithm in of_task.algorithms
+        for minutes in of_task.minutes
+    ]
+    header = ("task", "algorithm", "minutes", "paper", "parallel", "difference", "seeds")
+    return document.Table(header, rows)
+
+
+def _compared(
+    found: Mapping[Run, Curve], task: str, algorithm: str, minutes: float
+) -> tuple[str, ...]:
+    """Both presets, `parallel` less `paper`, and how many seeds of each."""
+    paper, parallel = (
+        [after(x, minutes) for run, x in found.items() if run[:3] == (task, algorithm, preset)]
+        for preset in PRESETS
+    )
+    difference = np.mean(parallel) - np.mean(paper) if paper and parallel else np.nan
+    return (
+        _range(paper), _range(parallel), f"{difference:+,.0f}", f"{len(paper)}, {len(parallel)}"
+    )  # fmt: skip
+
+
+def _range(values: Sequence[float]) -> str:
+    if not values:
+        return "not run"
+    return f"{np.mean(values):,.0f} ({min(values):,.0f} to {max(values):,.0f})"
+
+
+def laps(found: Mapping[Run, Curve]) -> document.Table:
+    """The share of an evaluation's episodes that drive a whole lap, seed by seed."""
+    rows = [
+        (run.algorithm, run.preset, str(run.seed), *(f"{share:.0%}" for share in shares))
+        for run, curve in found.items()
+        if run.task == "driving"
+        for shares in [[after(curve, minutes, "lap_share") for minutes in TASKS["driving"].minutes]]
+    ]
+    header = (
+        "algorithm",
+        "preset",
+        "seed",
+        *(f"{minutes} min" for minutes in TASKS["driving"].minutes),
+    )
+    return document.Table(header, sorted(rows))
+
+
+def draw(found: Mapping[Run, Curve]) -> matplotlib.figure.Figure:
+    """A panel a task: return over minutes, a line a seed, a colour an algorithm and preset."""
+    figure = matplotlib.figure.Figure(figsize=(10, 7), layout="constrained")
+    arms = [(a, p) for a in TASKS["halfcheetah"].algorithms for p in PRESETS]
+    styles = {
+        arm: {"color": plots.COLOURS[k // 2], "linestyle": ("--", "-")[k % 2]}
+        for k, arm in enumerate(arms)
+    }
+    panels = list(figure.subplots(2, 2).flat)
+    for axes, task in zip(panels, TASKS, strict=True):
+        axes.set(title=task, xlabel="minutes", ylabel="return of an evaluation")
+        for run, curve in found.items():
+            if run.task == task:
+                style = styles[run.algorithm, run.preset]
+                axes.plot(curve["seconds"] / 60, curve["return_mean"], linewidth=1.2, **style)
+    for (algorithm, preset), style in styles.items():
+        panels[0].plot([], [], label=f"{algorithm}, {preset}", **style)
+    figure.legend(loc="outside lower center", ncols=4, frameon=False)
+    return figure
+
+
+def page(found: Mapping[Run, Curve]) -> str:
+    """docs/parallel.md."""
+    blocks = [
+        document.Heading("Many environments on one core: `parallel` beside `paper`", 1),
+        document.Paragraph(
+            "Wall-clock learning curves of whole commands, the time to compile and to evaluate "
+            f"included, of one thread each, {os.cpu_count()} of them side by "
+            "side on a machine of as many cores. `paper` is the preset of that name: 16 "
+            "environments, batches of 64. `parallel` is the preset for thousands of environments, "
+            "here with the paper's networks of 64-64, and batch and updates in proportion to the "
+            "environments: 16 samples an environment step. M = 10 everywhere. A solid line is "
+            "`parallel`, a dashed one `paper`; each is a seed."
+        ),
+        document.Picture(draw(found), PICTURE.stem, "return over minutes"),
+        document.Paragraph(
+            "The return of the last evaluation (10 episodes) so far: the mean over seeds, the "
+            "least and the most."
+        ),
+        returns(found),
+        document.Heading("Driving: episodes with a whole lap", 2),
+        document.Paragraph("Of the last evaluation so far, by seed."),
+        laps(found),
+        document.Heading("The commands", 2),
+        document.Paragraph(
+            "`python -m benchmarks.parallel` goes on with what is missing, writes "
+            "benchmarks/parallel.csv and makes this page of it. What it runs, with seed 0:"
+        ),
+        document.Bullets([f"`mapg train {shlex.join(x.flags())}`" for x in runs() if x.seed == 0]),
+    ]
+    return document.markdown(blocks)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--no-train", action="store_true", help="only make the page")
+    parser.add_argument("--workers", type=int, default=os.cpu_count(), help="runs side by side")
+    arguments = parser.parse_args()
+    if not arguments.no_train:
+        train(arguments.workers)
+    found = evaluations(FILE)
+    PICTURE.write_bytes(document.picture_bytes(draw(found), "png"))
+    PAGE.write_text(page(found))
+
+
+if __name__ == "__main__":
+    main()
