@@ -76,7 +76,9 @@ class Run(NamedTuple):
         flags += f"--preset {self.preset} --evaluate-every {task.evaluate_every[self.preset]} "
         if self.preset == "parallel":
             flags += of_parallel(self.algorithm, task.environments)
-        return shlex.split(f"{flags} --steps 2000000000 --no-save-replay")
+        if self.algorithm != "ppo":
+            flags += " --no-save-replay"
+        return shlex.split(f"{flags} --steps 2000000000")
 
 
 def of_parallel(algorithm: str, environments: int) -> str:
@@ -129,6 +131,8 @@ def train(workers: int) -> None:
 
     def one(run: Run) -> None:
         rows = [] if stopping.is_set() else measure(run, stopping)
+        if not rows:
+            return
         with lock:
             header, old = csv_file.read(FILE)
             new = [[*run, *(row.get(name, "") for name in HEADER[len(run) :])] for row in rows]
