@@ -22,7 +22,7 @@ with contextlib.redirect_stdout(None):  # importing brax.envs prints what its ba
     import brax.envs.base
     from brax.envs.base import State, Wrapper
 
-from envs.frames import Painter
+from envs.frames import Painter, Shown
 from envs.recording import Episode, Player
 from envs.scored import ScoredMetric
 
@@ -78,6 +78,15 @@ class Env(brax.envs.base.Env):
           ValueError: if there is nothing to draw with.
         """
         raise NotImplementedError(f"{type(self).__name__} has no pictures of its states")
+
+    def viewer(self) -> contextlib.AbstractContextManager[Shown]:
+        """A window that shows physics states; MuJoCo's tasks have one.
+
+        Raises:
+          NotImplementedError: if the environment has none.
+          ValueError: if there is no display.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no viewer of its states")
 
     def clipped(self, action: Action) -> Float32[jax.Array, "A"]:
         """The action as a step takes it.

@@ -1,9 +1,11 @@
 """Pictures of single states, for videos: MuJoCo's by its own renderer, the others drawn."""
 
+import contextlib
 import ctypes.util
 import importlib
 import os
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import mujoco
@@ -15,6 +17,10 @@ Picture = UInt8[np.ndarray, "H W 3"]
 Painter = Callable[[Any], Picture]
 """Of a physics state, `State.pipeline_state` of one instance."""
 
+Shown = Callable[[Any, str, str], bool]
+"""Shows a physics state in a window, with two columns of text; False once it is closed."""
+
+FONT, CORNER = mujoco.mjtFontScale.mjFONTSCALE_150, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT
 FARTHEST = 3.5
 """Metres, of the camera: floors and rails make some models larger than what moves."""
 HELP = (
@@ -40,10 +46,7 @@ def mujoco_painter(
     vis = model.vis.global_
     vis.offwidth, vis.offheight = max(vis.offwidth, width), max(vis.offheight, height)
     camera = mujoco.MjvCamera()
-    camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
-    camera.trackbodyid = 1  # 0 is the world
-    camera.distance = min(1.1 * model.stat.extent, FARTHEST)
-    camera.elevation, camera.azimuth = -15.0, 90.0
+    _follow(camera, model)
     try:
         renderer = _renderer(model, height, width)
     except Exception as error:  # OpenGL's bindings raise many kinds
@@ -54,6 +57,58 @@ def mujoco_painter(
         return renderer.render().copy()
 
     return paint
+
+
+def mujoco_viewer(
+    model: mujoco.MjModel, data_of: Callable[[Any], mujoco.MjData]
+) -> contextlib.AbstractContextManager[Shown]:
+    """MuJoCo's own viewer, a window that is there within the block.
+
+    Args:
+      model: what is shown.
+      data_of: the simulation of a physics state.
+
+    Raises:
+      ValueError: if there is no display.
+    """
+    import glfw
+
+    with warnings.catch_warnings():  # asked without a display, it warns beside its answer
+        warnings.simplefilter("ignore")
+        if not glfw.init():  # MuJoCo would wait for its window for ever
+            raise ValueError("--live needs a display; leave it out for a video")
+    return _window(model, data_of)
+
+
+@contextlib.contextmanager
+def _window(model: mujoco.MjModel, data_of: Callable[[Any], mujoco.MjData]) -> Iterator[Shown]:
+    import mujoco.viewer
+
+    data = mujoco.MjData(model)
+    with mujoco.viewer.launch_passive(
+        model, data, show_left_ui=False, show_right_ui=False
+    ) as window:
+        with window.lock():
+            _follow(window.cam, model)
+
+        def show(state: Any, left: str, right: str) -> bool:
+            if not window.is_running():
+                return False
+            with window.lock():
+                mujoco.mj_copyData(data, model, data_of(state))
+            window.set_texts((FONT, CORNER, left, right))
+            window.sync()
+            return True
+
+        yield show
+
+
+def _follow(camera: mujoco.MjvCamera, model: mujoco.MjModel) -> None:
+    """The first body, from the side."""
+    camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
+    camera.trackbodyid = 1  # 0 is the world
+    camera.distance = min(1.1 * model.stat.extent, FARTHEST)
+    camera.elevation, camera.azimuth = -15.0, 90.0
 
 
 def _renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:

@@ -1,5 +1,7 @@
 """A MuJoCo task on a physics engine, as a `brax.envs.base.Env`."""
 
+import contextlib
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -8,7 +10,7 @@ import numpy as np
 from envs.base import Action, Env, State
 from envs.engines.mjx import MjxEngine
 from envs.engines.native import NativeEngine
-from envs.frames import Painter, mujoco_painter
+from envs.frames import Painter, Shown, mujoco_painter, mujoco_viewer
 from envs.mujoco_tasks.restriction import scaled
 from envs.mujoco_tasks.task import MujocoTask
 
@@ -81,6 +83,9 @@ class MujocoEnv(Env):
 
     def painter(self, width: int, height: int) -> Painter:
         return mujoco_painter(self.task.model, self.engine.mj_data, width, height)
+
+    def viewer(self) -> contextlib.AbstractContextManager[Shown]:
+        return mujoco_viewer(self.task.model, self.engine.mj_data)
 
     def _first(self, pipeline_state, outcome) -> State:
         own = {"valid": jnp.zeros(())} if self._balls else {}

@@ -1,5 +1,6 @@
 """MuJoCo Playground's environments under our contract: `playground:NAME`."""
 
+import contextlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -8,7 +9,7 @@ import mujoco
 import numpy as np
 
 from envs.base import Action, Env, State
-from envs.frames import Painter, mujoco_painter
+from envs.frames import Painter, Shown, mujoco_painter, mujoco_viewer
 
 POLICY = "state"
 """Of observations with several parts, the one that Playground's policies see."""
@@ -118,17 +119,20 @@ class PlaygroundEnv(Env):
             info=after.info,
         )
 
-    def painter(self, width: int, height: int) -> Painter:
+    def mj_data(self, simulated: Any) -> mujoco.MjData:
+        """A `mujoco.MjData` of a physics state, for drawing."""
         model = self._env.mj_model
+        data = mujoco.MjData(model)
+        for name in ("qpos", "qvel", "mocap_pos", "mocap_quat"):
+            getattr(data, name)[:] = getattr(simulated[0], name)
+        mujoco.mj_forward(model, data)
+        return data
 
-        def simulation(state: Any) -> mujoco.MjData:
-            found, data = mujoco.MjData(model), state[0]
-            for name in ("qpos", "qvel", "mocap_pos", "mocap_quat"):
-                getattr(found, name)[:] = getattr(data, name)
-            mujoco.mj_forward(model, found)
-            return found
+    def painter(self, width: int, height: int) -> Painter:
+        return mujoco_painter(self._env.mj_model, self.mj_data, width, height)
 
-        return mujoco_painter(model, simulation, width, height)
+    def viewer(self) -> contextlib.AbstractContextManager[Shown]:
+        return mujoco_viewer(self._env.mj_model, self.mj_data)
 
 
 def _seen(observation: Any) -> Any:

@@ -1,6 +1,7 @@
 """mapg train: a run from its first step to its score."""
 
 import argparse
+import logging
 import pathlib
 import sys
 from collections.abc import Sequence
@@ -16,9 +17,11 @@ from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.run import Run
 from mapg_jax.runs.signals import caught_signals
 from mapg_jax.runs.train import begin
+from mapg_jax.runs.video import film
 from mapg_jax.training import plugins
 from mapg_jax.training.config import PRESETS, preset
 
+LOG = logging.getLogger(__name__)
 EXAMPLE = (
     "Example: mapg train --env hopper --heads 10 --steps 2000000 --seed 0 --out runs/hopper-m10"
 )
@@ -114,6 +117,16 @@ def take_to_the_end(run: Run, out: TextIO, track: Sequence[str] = ()) -> None:
             with caught_signals() as signals:
                 run.go(callbacks, signals=signals, progress=True)
         _score(folder, out)
+        if callbacks:
+            _film(folder)
+
+
+def _film(folder: RunFolder) -> None:
+    """The video that trackers are given; a task or a machine that cannot draw goes without."""
+    try:
+        film(folder)
+    except ValueError as error:
+        LOG.warning("no video for trackers: %s", error)
 
 
 def _score(folder: RunFolder, out: TextIO) -> None:

@@ -1,13 +1,13 @@
 """mapg watch: a video of a run's newest policy."""
 
 import argparse
-import importlib.util
 import pathlib
 from typing import TextIO
 
 from mapg_jax.cli.console import refuse_politely
 from mapg_jax.cli.main import parser
 from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.live import show
 from mapg_jax.runs.video import film
 from mapg_jax.training import plugins
 
@@ -32,6 +32,9 @@ def parse(flags: list[str]) -> argparse.Namespace:
         "--select", default="uniform", help="How one action is made of the M proposals."
     )
     command.add_argument("--seed", type=int, default=0, help="Of the starts and the heads.")
+    command.add_argument(
+        "--live", action="store_true", help="MuJoCo's viewer instead of a video; needs a display."
+    )
     plugins.add_argument(command)
     arguments = command.parse(flags)
     plugins.load(arguments.imports)
@@ -39,17 +42,10 @@ def parse(flags: list[str]) -> argparse.Namespace:
 
 
 def run(arguments: argparse.Namespace, out: TextIO) -> None:
-    """Films."""
-    mp4 = importlib.util.find_spec("imageio_ffmpeg") is not None
-    file = arguments.out or arguments.path / ("video.mp4" if mp4 else "video.gif")
-    written = refuse_politely(
-        lambda: film(
-            RunFolder.open(arguments.path),
-            file,
-            steps=arguments.steps,
-            episodes=arguments.episodes,
-            seed=arguments.seed,
-            select=arguments.select,
-        )
-    )
+    """Films, or shows."""
+    chosen = {name: getattr(arguments, name) for name in ("steps", "episodes", "seed", "select")}
+    if arguments.live:
+        refuse_politely(lambda: show(RunFolder.open(arguments.path), **chosen))
+        return
+    written = refuse_politely(lambda: film(RunFolder.open(arguments.path), arguments.out, **chosen))
     print(written, file=out)

@@ -1,5 +1,6 @@
 """Videos of a trained policy: what it does, and what all its heads propose."""
 
+import importlib.util
 import pathlib
 from collections.abc import Iterator
 from typing import Any
@@ -23,7 +24,7 @@ COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#9
 
 def film(
     folder: RunFolder,
-    out: pathlib.Path,
+    out: pathlib.Path | None = None,
     *,
     steps: int = 300,
     episodes: int = 1,
@@ -34,7 +35,8 @@ def film(
 
     Args:
       folder: of a run.
-      out: the file.
+      out: the file; by default video.mp4 in the run folder, or video.gif where mp4 cannot be
+        written.
       steps: of an episode, at most.
       episodes: one after the other.
       seed: of the starts and the heads.
@@ -44,6 +46,7 @@ def film(
       ValueError: if the file's ending is another, a package or a renderer is missing, or the
         environment has no pictures.
     """
+    out = out or folder.path / ("video.mp4" if _has_mp4() else "video.gif")
     write = _writer(out)
     if steps < 1 or episodes < 1:
         raise ValueError(f"steps and episodes must be at least 1, got {steps} and {episodes}")
@@ -109,6 +112,10 @@ def panel(proposals: np.ndarray, values: np.ndarray, action: np.ndarray) -> np.n
     return np.asarray(image)
 
 
+def _has_mp4() -> bool:
+    return importlib.util.find_spec("imageio_ffmpeg") is not None
+
+
 def _writer(out: pathlib.Path):
     """(frames, frames a second) → the file; refused before anything is played."""
     import imageio.v3 as iio
@@ -119,12 +126,8 @@ def _writer(out: pathlib.Path):
         )
     if out.suffix != ".mp4":
         raise ValueError(f"a video is written as .mp4 or .gif, got {out.name}")
-    try:
-        import imageio_ffmpeg  # noqa: F401  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        raise ValueError(
-            "mp4 needs: pip install 'mapg-jax[video]'; or choose --out FILE.gif"
-        ) from None
+    if not _has_mp4():
+        raise ValueError("mp4 needs: pip install 'mapg-jax[video]'; or choose --out FILE.gif")
     return lambda frames, rate: iio.imwrite(
         out, np.stack(frames), fps=rate, plugin="FFMPEG", macro_block_size=4
     )

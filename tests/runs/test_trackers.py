@@ -1,13 +1,16 @@
 """Trackers are told of every evaluation and of the end; one that fails is left out with a line."""
 
+import shutil
 import sys
 import types
 
 import pytest
 
+from mapg_jax.cli import train
 from mapg_jax.runs import trackers
 from mapg_jax.runs.metrics import read_metrics
 from mapg_jax.runs.run import Event
+from mapg_jax.runs.train import take_up
 
 
 class Recorder:
@@ -56,6 +59,24 @@ def test_every_evaluation_is_told_once(recorder, finished_run):
         assert tracker.config["heads"] == finished_run.config.heads
         assert tracker.config["command"].startswith("mapg")
         assert tracker.files is not None
+
+
+@pytest.mark.parametrize("drawable", [True, False])
+def test_a_tracked_run_ends_with_its_video(drawable, recorder, finished_run, tmp_path, monkeypatch):
+    run = take_up(shutil.copytree(finished_run.path, tmp_path / "run"))
+
+    def film(folder):
+        if not drawable:
+            raise ValueError("no renderer")
+        (folder.path / "video.gif").write_bytes(b"")
+
+    monkeypatch.setattr(train, "film", film)
+    monkeypatch.setattr(train, "finish", lambda folder: {})
+    monkeypatch.setattr(train, "print_score", lambda score, out: None)
+    with open(tmp_path / "out", "w+") as out:
+        train.take_to_the_end(run, out, ["wandb"])
+    assert ("video.gif" in recorder[0].files) == drawable
+    assert "curve.png" not in recorder[0].files  # `finish` draws it
 
 
 def test_one_that_fails_stops_nothing(recorder, finished_run, caplog, monkeypatch):
