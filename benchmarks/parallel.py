@@ -52,7 +52,7 @@ class Task(NamedTuple):
 TASKS = {
     "driving": Task(DRIVING, 1024, ("mapg", "ppo"), {"paper": 50_000, "parallel": 500_000}),
     "pendulum": Task(
-        "", 4096, ("mapg", "ppo"), {"paper": 20_000, "parallel": 1_000_000}, (1, 2, 5)
+        "", 4096, ("mapg", "ppo"), {"paper": 20_000, "parallel": 200_000}, (1, 2, 5)
     ),
     "halfcheetah": Task(
         "", 256, ("mapg", "ppo", "td3", "sac"), {"paper": 50_000, "parallel": 150_000}
