@@ -6,21 +6,27 @@ A turn steps every environment once and makes one update, on a task that costs n
 import dataclasses
 import statistics
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
+import matplotlib.figure
 import numpy as np
 
 import envs
+from benchmarks import commands
 from envs.base import Action
+from mapg_jax.reports import document, plots
 from mapg_jax.training.config import Config, preset
 from mapg_jax.training.lockstep import Lockstep
 
 SECONDS = 0.5
 """Of a measurement, at least."""
 ROUNDS = 3
+BEND = 0.5
+"""Slope of the logarithms from which on the work costs more than its instructions."""
+PICTURE = commands.ROOT / "benchmarks/growth.png"
 
 
 class Plain(envs.Env):
@@ -104,11 +110,55 @@ def report(quick: bool) -> str:
         "| | | turns/s | µs a turn | exponent, end | exponent, all | memory, MB |",
         "|---|---|---|---|---|---|---|",
     ]
-    for title, values, runs in AXES:
-        counts = values[:2] if quick else values
-        costs = [measure(runs(count), quick) for count in counts]
-        lines += _rows(title, counts, costs)
+    measured = {
+        title: {count: measure(runs(count), quick) for count in (values[:2] if quick else values)}
+        for title, values, runs in AXES
+    }
+    for title, costs in measured.items():
+        lines += _rows(title, list(costs), list(costs.values()))
+    lines += ["", *(f"- {_bend(title, costs)}" for title, costs in measured.items())]
+    if not quick:
+        PICTURE.write_bytes(document.picture_bytes(_draw(measured), "png"))
+        lines += ["", f"![time and memory of a turn]({PICTURE.name})"]
     return "\n".join(lines)
+
+
+def _bend(title: str, costs: Mapping[int, Cost]) -> str:
+    """Up to which value a turn costs what its instructions do."""
+    counts = list(costs)
+    seconds = np.log([cost.seconds for cost in costs.values()])
+    slopes = np.diff(seconds) / np.diff(np.log(counts))
+    steep = np.flatnonzero(slopes > BEND)
+    if not steep.size:
+        return (
+            f"{title}: no bend up to {counts[-1]:,}, where a turn takes "
+            f"{np.exp(seconds[-1] - seconds[0]):.1f} times as long as at {counts[0]:,}."
+        )
+    bend = int(steep[0])
+    before = np.exp(seconds[bend] - seconds[0])
+    beyond = np.polyfit(np.log(counts[bend:]), seconds[bend:], 1)[0]
+    if bend == 0:
+        return f"{title}: from the first on, with an exponent of {beyond:.2f}."
+    return (
+        f"{title}: it bends at {counts[bend]:,}, up to which a turn grows {before:.1f} times, and "
+        f"beyond which it grows with an exponent of {beyond:.2f}."
+    )
+
+
+def _draw(measured: Mapping[str, Mapping[int, Cost]]) -> matplotlib.figure.Figure:
+    """A column an axis: microseconds above, megabytes below."""
+    figure = matplotlib.figure.Figure(figsize=(12, 5), layout="constrained")
+    panels = figure.subplots(2, len(measured), sharey="row")
+    for column, (title, costs) in zip(panels.T, measured.items(), strict=True):
+        numbers = [1e6 * cost.seconds for cost in costs.values()]
+        megabytes = [cost.bytes / 1e6 for cost in costs.values()]
+        for axes, values in zip(column, (numbers, megabytes), strict=True):
+            axes.loglog(list(costs), values, "o-", color=plots.COLOURS[1])
+            axes.grid(alpha=0.3)
+        column[1].set_xlabel(title)
+    panels[0, 0].set_ylabel("µs a turn")
+    panels[1, 0].set_ylabel("memory, MB")
+    return figure
 
 
 def _rows(title: str, counts: Sequence[int], costs: Sequence[Cost]) -> Iterator[str]:

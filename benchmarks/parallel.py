@@ -51,9 +51,7 @@ class Task(NamedTuple):
 
 TASKS = {
     "driving": Task(DRIVING, 1024, ("mapg", "ppo"), {"paper": 50_000, "parallel": 500_000}),
-    "pendulum": Task(
-        "", 4096, ("mapg", "ppo"), {"paper": 20_000, "parallel": 200_000}, (1, 2, 5)
-    ),
+    "pendulum": Task("", 4096, ("mapg", "ppo"), {"paper": 20_000, "parallel": 200_000}, (1, 2, 5)),
     "halfcheetah": Task(
         "", 256, ("mapg", "ppo", "td3", "sac"), {"paper": 50_000, "parallel": 150_000}
     ),
@@ -275,6 +273,7 @@ def main() -> None:
     parser.add_argument("--no-train", action="store_true", help="only make the page")
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="runs side by side")
     arguments = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # ends its runs too
     if not arguments.no_train:
         train(arguments.workers)
     found = evaluations(FILE)

@@ -66,6 +66,7 @@ ROOMS = {
         "scoring",
         "episode",
         "video",
+        "live",
         "curve",
         "finishing",
         "member",

@@ -2,8 +2,10 @@
 
 import os
 import pathlib
+import re
 import subprocess
 import sys
+import tomllib
 import venv
 
 import pytest
@@ -56,6 +58,21 @@ def foreign(folder: pathlib.Path, name: str) -> pathlib.Path:
     package.mkdir(parents=True)
     (package / "__init__.py").write_text("raise RuntimeError('imported')\n")
     return package
+
+
+def test_the_badges_of_the_readme_are_true():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    versions = [
+        name.rpartition(" ")[2] for name in project["classifiers"] if ":: Python :: 3." in name
+    ]
+    jax = [re.search(r"jax>=(\d+\.\d+)", line) for line in project["dependencies"]]
+    shown = {
+        "python": " | ".join(versions),
+        "jax": " | ".join(sorted(found[1] for found in jax if found)),
+        "licence": project["license"],
+    }
+    for name, text in shown.items():
+        assert f": {text}</title>" in (ROOT / f"docs/badges/{name}.svg").read_text()
 
 
 def test_a_sweep_runs_from_a_folder_with_packages_of_our_names(

@@ -7,7 +7,6 @@ from typing import TextIO
 from mapg_jax.cli.console import refuse_politely
 from mapg_jax.cli.main import parser
 from mapg_jax.reports import dashboard
-from mapg_jax.training import plugins
 
 
 def parse(flags: list[str]) -> argparse.Namespace:
@@ -20,10 +19,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
     command.add_argument("paths", nargs="+", type=pathlib.Path, help="Run folders, or above them.")
     command.add_argument("--out", type=pathlib.Path, help="The page as a file; nothing is served.")
     command.add_argument("--port", type=int, default=8700, help="0 takes a free one.")
-    plugins.add_argument(command)
-    arguments = command.parse(flags)
-    plugins.load(arguments.imports)
-    return arguments
+    return command.parse(flags)
 
 
 def run(arguments: argparse.Namespace, out: TextIO) -> None:

@@ -8,7 +8,6 @@ from mapg_jax.cli.console import refuse_politely
 from mapg_jax.cli.main import parser
 from mapg_jax.runs.episode import draw
 from mapg_jax.runs.folder import RunFolder
-from mapg_jax.training import plugins
 
 
 def parse(flags: list[str]) -> argparse.Namespace:
@@ -19,10 +18,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
         "--select", default="uniform", help="How one action is made of the M proposals."
     )
     command.add_argument("--seed", type=int, default=0, help="Of the starts and the heads.")
-    plugins.add_argument(command)
-    arguments = command.parse(flags)
-    plugins.load(arguments.imports)
-    return arguments
+    return command.parse(flags)
 
 
 def run(arguments: argparse.Namespace, out: TextIO) -> None:

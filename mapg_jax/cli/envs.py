@@ -8,16 +8,12 @@ import rich.table
 import envs
 from mapg_jax.cli.console import complain, console
 from mapg_jax.cli.main import parser
-from mapg_jax.training import plugins
 
 
 def parse(flags: list[str]) -> argparse.Namespace:
     """The arguments."""
     command = parser("envs")
-    plugins.add_argument(command)
-    arguments = command.parse(flags)
-    plugins.load(arguments.imports)
-    return arguments
+    return command.parse(flags)
 
 
 def run(arguments: argparse.Namespace, out: TextIO) -> None:

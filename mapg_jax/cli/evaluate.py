@@ -11,7 +11,6 @@ from mapg_jax.cli.main import parser
 from mapg_jax.cli.score import print_score
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.scoring import Physics, evaluate
-from mapg_jax.training import plugins
 
 
 def parse(flags: list[str]) -> argparse.Namespace:
@@ -39,10 +38,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
     )
     command.add_argument("--seed", type=int, default=0, help="Of starts and actions.")
     command.add_argument("--json", action="store_true", help="Print one JSON object, no table.")
-    plugins.add_argument(command)
-    arguments = command.parse(flags)
-    plugins.load(arguments.imports)
-    return arguments
+    return command.parse(flags)
 
 
 def run(arguments: argparse.Namespace, out: TextIO) -> None:

@@ -8,7 +8,6 @@ from typing import TextIO
 from mapg_jax.cli.console import refuse_politely
 from mapg_jax.cli.main import parser
 from mapg_jax.runs.export import Format, export
-from mapg_jax.training import plugins
 
 
 def parse(flags: list[str]) -> argparse.Namespace:
@@ -25,10 +24,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
     command.add_argument(
         "--out", type=pathlib.Path, help="The file; by default policy.FORMAT in this folder."
     )
-    plugins.add_argument(command)
-    arguments = command.parse(flags)
-    plugins.load(arguments.imports)
-    return arguments
+    return command.parse(flags)
 
 
 def run(arguments: argparse.Namespace, out: TextIO) -> None:

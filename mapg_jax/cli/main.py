@@ -57,8 +57,10 @@ def main() -> None:
 
 
 def parser(name: str, epilog: str = "") -> Parser:
-    """The parser of a command."""
-    return Parser(prog=f"mapg {name}", description=COMMANDS[name], epilog=epilog)
+    """The parser of a command; modules of the user's own can be named on each."""
+    command = Parser(prog=f"mapg {name}", description=COMMANDS[name], epilog=epilog)
+    plugins.add_argument(command)
+    return command
 
 
 @contextlib.contextmanager

@@ -10,6 +10,7 @@ from typing import Any, Literal, NoReturn
 
 from mapg_jax.cli import completion
 from mapg_jax.cli.console import complain
+from mapg_jax.training import plugins
 
 WIDTH = 100
 
@@ -33,12 +34,13 @@ class Parser(argparse.ArgumentParser):
         return list(self._option_string_actions)
 
     def parse(self, flags: list[str]) -> argparse.Namespace:
-        """The arguments; a flag that is near an unknown one is named."""
+        """The arguments; a flag that is near an unknown one is named, --import is obeyed."""
         completion.answer(self)
         arguments, rest = self.parse_known_args(flags)
         if rest:
             near = difflib.get_close_matches(rest[0], self.flags(), 1)
             self.error(f"unknown: {rest[0]}" + (f"; did you mean {near[0]}?" if near else ""))
+        plugins.load(arguments.imports)
         return arguments
 
 

@@ -7,7 +7,6 @@ from typing import TextIO
 from mapg_jax.cli.console import refuse_politely
 from mapg_jax.cli.main import parser
 from mapg_jax.reports.sharing import pull
-from mapg_jax.training import plugins
 
 
 def parse(flags: list[str]) -> argparse.Namespace:
@@ -17,10 +16,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
     command.add_argument(
         "--out", type=pathlib.Path, help="A new folder; by default the last part of the name."
     )
-    plugins.add_argument(command)
-    arguments = command.parse(flags)
-    plugins.load(arguments.imports)
-    return arguments
+    return command.parse(flags)
 
 
 def run(arguments: argparse.Namespace, out: TextIO) -> None:

@@ -7,7 +7,6 @@ from typing import TextIO
 from mapg_jax.cli.console import refuse_politely
 from mapg_jax.cli.main import parser
 from mapg_jax.reports.sharing import push
-from mapg_jax.training import plugins
 
 
 def parse(flags: list[str]) -> argparse.Namespace:
@@ -20,10 +19,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
     command.add_argument(
         "name", help="USER/NAME on the Hugging Face Hub, or a path: ./folder, /shared/folder."
     )
-    plugins.add_argument(command)
-    arguments = command.parse(flags)
-    plugins.load(arguments.imports)
-    return arguments
+    return command.parse(flags)
 
 
 def run(arguments: argparse.Namespace, out: TextIO) -> None:

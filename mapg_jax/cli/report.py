@@ -8,7 +8,6 @@ from mapg_jax.cli.console import refuse_politely
 from mapg_jax.cli.main import parser
 from mapg_jax.reports import document
 from mapg_jax.reports.report import compose, gather, write
-from mapg_jax.training import plugins
 
 
 def parse(flags: list[str]) -> argparse.Namespace:
@@ -28,10 +27,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
         help="Folder for report.md, its pictures, report.csv, and report.html, which needs no "
         "other file.",
     )
-    plugins.add_argument(command)
-    arguments = command.parse(flags)
-    plugins.load(arguments.imports)
-    return arguments
+    return command.parse(flags)
 
 
 def run(arguments: argparse.Namespace, out: TextIO) -> None:

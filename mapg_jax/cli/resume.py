@@ -12,7 +12,6 @@ from mapg_jax.cli.train import add_devices, join_hosts, take_to_the_end
 from mapg_jax.runs import trackers
 from mapg_jax.runs.train import take_up
 from mapg_jax.sweeps.folder import SweepFolder
-from mapg_jax.training import plugins
 
 
 def parse(flags: list[str]) -> argparse.Namespace:
@@ -26,10 +25,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
     )
     command.add_argument("--track", nargs="+", default=(), help="Trackers, as of mapg train.")
     add_devices(command)
-    plugins.add_argument(command)
-    arguments = command.parse(flags)
-    plugins.load(arguments.imports)
-    return arguments
+    return command.parse(flags)
 
 
 def run(arguments: argparse.Namespace, out: TextIO) -> None:

@@ -15,7 +15,6 @@ from mapg_jax.cli.main import parser
 from mapg_jax.cli.parser import value_of
 from mapg_jax.runs.locking import lock
 from mapg_jax.sweeps import launchers
-from mapg_jax.training import plugins
 from mapg_jax.training.config import Config, config_type, preset, refuse_foreign
 
 if TYPE_CHECKING:
@@ -50,7 +49,6 @@ def parse(flags: list[str]) -> argparse.Namespace:
     )
     command.add_argument("--preset", default="paper", help="Where the defaults come from.")
     config_file.add_argument(command)
-    plugins.add_argument(command)
     fields.add(command, name, [algorithm], several=False)
     fields.refuse_foreign_flags(command, flags, [algorithm])
     return command.parse(flags)

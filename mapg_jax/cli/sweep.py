@@ -18,7 +18,6 @@ from mapg_jax.sweeps import forecast, grid, launchers
 from mapg_jax.sweeps.folder import SweepFolder
 from mapg_jax.sweeps.groups import disk_bytes, group_bytes
 from mapg_jax.sweeps.sweep import Schedule, carry_out, make_schedule
-from mapg_jax.training import plugins
 
 EXAMPLE = "Example: mapg sweep --env hopper --heads 1 5 10 20 50 --seeds 5 --out runs/hopper-sweep"
 
@@ -80,7 +79,6 @@ def parse(flags: list[str]) -> argparse.Namespace:
     )
     command.add_argument("--preset", default="paper", help="Where the defaults come from.")
     config_file.add_argument(command)
-    plugins.add_argument(command)
     fields.add(command, name, algorithms, several=True)
     fields.refuse_foreign_flags(command, flags, algorithms)
     return command.parse(flags)

@@ -18,7 +18,6 @@ from mapg_jax.runs.run import Run
 from mapg_jax.runs.signals import caught_signals
 from mapg_jax.runs.train import begin
 from mapg_jax.runs.video import film
-from mapg_jax.training import plugins
 from mapg_jax.training.config import PRESETS, preset
 
 LOG = logging.getLogger(__name__)
@@ -56,7 +55,6 @@ def parse(flags: list[str]) -> argparse.Namespace:
     )
     config_file.add_argument(command)
     add_devices(command)
-    plugins.add_argument(command)
     fields.add(command, name, [algorithm], several=False)
     fields.refuse_foreign_flags(command, flags, [algorithm])
     return command.parse(flags)

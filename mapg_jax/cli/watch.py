@@ -9,7 +9,6 @@ from mapg_jax.cli.main import parser
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.live import show
 from mapg_jax.runs.video import film
-from mapg_jax.training import plugins
 
 
 def parse(flags: list[str]) -> argparse.Namespace:
@@ -35,10 +34,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
     command.add_argument(
         "--live", action="store_true", help="MuJoCo's viewer instead of a video; needs a display."
     )
-    plugins.add_argument(command)
-    arguments = command.parse(flags)
-    plugins.load(arguments.imports)
-    return arguments
+    return command.parse(flags)
 
 
 def run(arguments: argparse.Namespace, out: TextIO) -> None:
