@@ -167,35 +167,36 @@ def after(curve: Curve, minutes: float, column: str = "return_mean") -> float:
 
 
 def returns(found: Mapping[Run, Curve]) -> document.Table:
-    """What has been learned after some minutes, by task and algorithm."""
+    """What has been learned after some minutes, by task and algorithm, as far as it was run."""
     rows = [
-        (task, algorithm, str(minutes), *_compared(found, task, algorithm, minutes))
+        (task, algorithm, str(minutes), *_compared(*seeds))
         for task, of_task in TASKS.items()
         for algorithm in of_task.algorithms
         for minutes in of_task.minutes
+        for seeds in [[_after(found, (task, algorithm, x), minutes) for x in PRESETS]]
+        if any(seeds)
     ]
-    header = ("task", "algorithm", "minutes", "paper", "parallel", "difference", "seeds")
+    header = ("task", "algorithm", "minutes", "paper", "parallel", "parallel − paper", "seeds")
     return document.Table(header, rows)
 
 
-def _compared(
-    found: Mapping[Run, Curve], task: str, algorithm: str, minutes: float
-) -> tuple[str, ...]:
-    """Both presets, `parallel` less `paper`, and how many seeds of each."""
-    paper, parallel = (
-        [after(x, minutes) for run, x in found.items() if run[:3] == (task, algorithm, preset)]
-        for preset in PRESETS
-    )
-    difference = np.mean(parallel) - np.mean(paper) if paper and parallel else np.nan
-    return (
-        _range(paper), _range(parallel), f"{difference:+,.0f}", f"{len(paper)}, {len(parallel)}"
-    )  # fmt: skip
+def _after(found: Mapping[Run, Curve], cell: tuple, minutes: float) -> list[float]:
+    """Of the seeds of a cell."""
+    return [after(curve, minutes) for run, curve in found.items() if run[:3] == cell]
+
+
+def _compared(paper: Sequence[float], parallel: Sequence[float]) -> tuple[str, ...]:
+    """Both presets, what `parallel` gains, and how many seeds there are of each."""
+    gained = f"{np.mean(parallel) - np.mean(paper):+,.0f}" if paper and parallel else ""
+    return _range(paper), _range(parallel), gained, f"{len(paper)}, {len(parallel)}"
 
 
 def _range(values: Sequence[float]) -> str:
+    """Their mean, and between which they lie."""
     if not values:
-        return "not run"
-    return f"{np.mean(values):,.0f} ({min(values):,.0f} to {max(values):,.0f})"
+        return ""
+    mean = f"{np.mean(values):,.0f}"
+    return f"{mean} ({min(values):,.0f} to {max(values):,.0f})" if len(values) > 1 else mean
 
 
 def laps(found: Mapping[Run, Curve]) -> document.Table:
@@ -242,8 +243,8 @@ def page(found: Mapping[Run, Curve]) -> str:
         document.Heading("Many environments on one core: `parallel` beside `paper`", 1),
         document.Paragraph(
             "Wall-clock learning curves of whole commands, the time to compile and to evaluate "
-            f"included, of one thread each, {os.cpu_count()} of them side by "
-            "side on a machine of as many cores. `paper` is the preset of that name: 16 "
+            "included, with one thread each, as many side by side as the machine has cores: two. "
+            "`paper` is the preset of that name: 16 "
             "environments, batches of 64. `parallel` is the preset for thousands of environments, "
             "here with the paper's networks of 64-64, and batch and updates in proportion to the "
             "environments: 16 samples an environment step. M = 10 everywhere. A solid line is "
@@ -251,8 +252,8 @@ def page(found: Mapping[Run, Curve]) -> str:
         ),
         document.Picture(draw(found), PICTURE.stem, "return over minutes"),
         document.Paragraph(
-            "The return of the last evaluation (10 episodes) so far: the mean over seeds, the "
-            "least and the most."
+            "The return of the last evaluation so far (10 episodes, of `parallel` 128): the mean "
+            "over seeds, and between which they lie."
         ),
         returns(found),
         document.Heading("Driving: episodes with a whole lap", 2),
