@@ -9,6 +9,7 @@ import shutil
 
 import jax
 import jax.numpy as jnp
+import jaxlib.version
 import numpy as np
 
 from envs.base import Env, State, with_episodes
@@ -131,6 +132,12 @@ class CountingAgent(Agent):
         drawn, seen = jax.random.uniform(key), batch.observation.mean()
         metrics = UpdateMetrics(drawn, drawn**2, seen, seen**2, jnp.zeros(()))
         return state.replace(learner=learner), metrics
+
+
+AS_IN_TRAINING = {"xla_backend_optimization_level": 3} | (
+    {"xla_cpu_use_fusion_emitters": True} if jaxlib.version.__version_info__ < (0, 11) else {}
+)
+"""Compiler options of what must not differ in its last bits; conftest.py has quicker ones."""
 
 
 def make_trainer(env: Env, time_limit: int, config: Config, padded_heads: int | None = None):

@@ -32,7 +32,7 @@ def run(command, folder):
     return done.stdout
 
 
-def test_the_algorithm_trains_sweeps_and_keeps_the_contract(folder, quick_compilation):
+def test_the_algorithm_trains_sweeps_and_keeps_the_contract(folder):
     (shell,) = (text for mark, text in BLOCKS if mark == "shell")
     for line in shell.splitlines():
         name, *arguments = line.split()
@@ -57,7 +57,7 @@ SNIPPETS = re.findall(r"```python\n(.*?)```", README, re.S)
 
 
 @pytest.mark.parametrize("text", SNIPPETS)
-def test_a_snippet_of_the_readme_runs(text, tmp_path, monkeypatch, quick_compilation):
+def test_a_snippet_of_the_readme_runs(text, tmp_path, monkeypatch):
     """With fewer steps, and a run to load where it begins with one that the reader has."""
     monkeypatch.chdir(tmp_path)
     short = re.sub(r"steps=[\d_]+", "steps=400, evaluate_every=400, final_episodes=2", text)

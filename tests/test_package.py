@@ -75,9 +75,7 @@ def test_the_badges_of_the_readme_are_true():
         assert f": {text}</title>" in (ROOT / f"docs/badges/{name}.svg").read_text()
 
 
-def test_a_sweep_runs_from_a_folder_with_packages_of_our_names(
-    installed, tmp_path, quick_compilation
-):
+def test_a_sweep_runs_from_a_folder_with_packages_of_our_names(installed, tmp_path):
     foreign(tmp_path, "envs")
     foreign(tmp_path, "experiments")
     done = run([installed / "mapg", *SWEEP.split()], tmp_path)

@@ -12,6 +12,7 @@ from mapg_jax import foreign
 from mapg_jax.cli import completion
 from mapg_jax.cli.console import complain, own_stdout, refuse_politely
 from mapg_jax.cli.parser import Parser
+from mapg_jax.training import plugins
 
 COMMANDS = {
     "train": "Train a policy.",

@@ -45,7 +45,6 @@ TINY = (
     "--env bandit --algorithm mine --preset smoke --steps 200 --environments 4 --replay-size 200 "
     "--batch-size 8 --hidden 8,8 --evaluate-every 100"
 )
-pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 
 @pytest.fixture

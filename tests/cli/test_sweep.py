@@ -21,7 +21,6 @@ FLAGS = (
     "--preset smoke --environments 4 --replay-size 200 --batch-size 8 --hidden 8,8 "
     "--evaluate-every 200 --final-episodes 3"
 )
-pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 
 def files(folder: pathlib.Path) -> dict[pathlib.Path, bytes]:

@@ -12,7 +12,7 @@ from mapg_jax.training.trainer import make_trainer
 
 
 @pytest.fixture(scope="module")
-def played(quick_compilation):
+def played():
     """Of a policy that proposes 0 with every head."""
     trainer = make_trainer(oracles.RUN)
     state = trainer.jitted_init(0).agent

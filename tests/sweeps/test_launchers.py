@@ -23,7 +23,6 @@ from mapg_jax.sweeps.task import Task
 
 RUN = dataclasses.replace(oracles.RUN, steps=400, checkpoint_seconds=300.0, checkpoints_kept=2)
 LONG = dataclasses.replace(RUN, steps=40_000, evaluate_every=4_000, checkpoint_seconds=1e-3)
-pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 
 def carry_out(launched_by, root: pathlib.Path, run=RUN, seeds=(0, 1)) -> list[RunFolder]:
@@ -41,7 +40,7 @@ def assert_as_here(found: list[RunFolder], root: pathlib.Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def local(tmp_path_factory, quick_compilation):
+def local(tmp_path_factory):
     return carry_out(Local(), tmp_path_factory.mktemp("local"))
 
 

@@ -17,7 +17,6 @@ from mapg_jax.sweeps.launchers import Local
 from mapg_jax.sweeps.pool import Worker
 
 RUN = dataclasses.replace(oracles.RUN, steps=400, checkpoint_seconds=300.0, checkpoints_kept=2)
-pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 
 def files(folder: pathlib.Path) -> dict[pathlib.Path, bytes]:
@@ -25,7 +24,7 @@ def files(folder: pathlib.Path) -> dict[pathlib.Path, bytes]:
 
 
 @pytest.fixture(scope="module")
-def swept(tmp_path_factory, quick_compilation):
+def swept(tmp_path_factory):
     """Two runs one after the other, the first of which diverges."""
     root = tmp_path_factory.mktemp("sweep")
     runs = [

@@ -6,6 +6,7 @@ from typing import cast
 import jax
 import jax.numpy as jnp
 import numpy as np
+import oracles
 import pytest
 import scipy.stats
 
@@ -284,8 +285,11 @@ def test_episodes_reset_what_ended_and_nothing_else():
     keys = jax.random.split(KEY, 4)
     actions = jnp.float32([[0.3, 0.5, 0], [0, 0.2, 0], [-0.3, 0.5, 0], [0, 1, -1]])
 
-    step = jax.jit(jax.vmap(env.step))
-    start = state = jax.jit(jax.vmap(env.reset))(keys)
+    step, reset = (
+        jax.jit(jax.vmap(function), compiler_options=oracles.AS_IN_TRAINING)
+        for function in (env.step, env.reset)
+    )
+    start = state = reset(keys)
     states = []
     for _ in range(150):
         state = step(state, actions)
