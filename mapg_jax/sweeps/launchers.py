@@ -16,6 +16,8 @@ import jax
 
 Name = Literal["local", "slurm", "ray"]
 Options = Mapping[str, Any]
+CHECKOUT = pathlib.Path(__file__).parents[2]
+"""Of this package, where it is one."""
 PREALLOCATE = "XLA_PYTHON_CLIENT_PREALLOCATE"
 
 
@@ -152,8 +154,14 @@ def leave_the_memory_to_workers() -> None:
 
 
 def environment() -> dict[str, str]:
-    """One thread of XLA a process, and the cache of compiled programs that this one has."""
+    """One thread of XLA a process, and the cache of compiled programs that this one has.
+
+    A checkout that is not installed is found by its path: workers leave their working folder out.
+    """
     ours = {"NPROC": "1", **_PREALLOCATION}
+    if (CHECKOUT / "pyproject.toml").exists():
+        paths = [str(CHECKOUT), os.environ.get("PYTHONPATH", "")]
+        ours["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
     if jax.config.jax_compilation_cache_dir:
         seconds = jax.config.jax_persistent_cache_min_compile_time_secs
         ours["JAX_COMPILATION_CACHE_DIR"] = str(jax.config.jax_compilation_cache_dir)

@@ -54,6 +54,19 @@ def test_each_worker_sees_one_gpu(monkeypatch):
     assert launchers._one_gpu(Local().shares(1)[0]) == {}  # as this process sees it
 
 
+def test_workers_of_a_checkout_need_no_installation():
+    """Whatever folder they are started in, and by a Python that knows no packages."""
+    find = "import importlib.util as u; print(u.find_spec('mapg_jax').origin)"
+    found = subprocess.run(
+        [sys.executable, "-P", "-S", "-c", find],
+        env={**os.environ, **launchers.environment()},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert pathlib.Path(found.stdout.strip()) == launchers.CHECKOUT / "mapg_jax/__init__.py"
+
+
 def test_what_is_wrong_is_said(monkeypatch):
     with pytest.raises(ValueError, match="the launcher local has no options"):
         launcher("local", ["a=1"])
