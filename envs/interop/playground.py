@@ -55,9 +55,12 @@ class PlaygroundEnv(Env):
         """One of that configuration.
 
         Raises:
-          ValueError: if it cannot be made, or observes no row of numbers.
+          ValueError: if it cannot be made, repeats no action, or observes no row of numbers.
         """
-        self._env, self._repeats = _made(name, settings), int(settings.action_repeat)
+        self._repeats = int(settings.action_repeat)
+        if self._repeats < 1:
+            raise ValueError(f"playground:{name}: action_repeat must be at least 1")
+        self._env = _made(name, settings)
         self.action_high = np.ones(self.action_size, np.float32)
         seen = _seen(jax.eval_shape(self._env.reset, jax.random.key(0)).obs)
         if seen is None or len(seen.shape) != 1:

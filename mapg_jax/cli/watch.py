@@ -34,7 +34,10 @@ def parse(flags: list[str]) -> argparse.Namespace:
     command.add_argument(
         "--live", action="store_true", help="MuJoCo's viewer instead of a video; needs a display."
     )
-    return command.parse(flags)
+    arguments = command.parse(flags)
+    if arguments.live and arguments.out:
+        command.error("--live shows a window and writes no --out; leave one of them out")
+    return arguments
 
 
 def run(arguments: argparse.Namespace, out: TextIO) -> None:

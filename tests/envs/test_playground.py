@@ -84,6 +84,7 @@ class TestPlayground:
             ("Cartpole", {}, "Playground has no environment 'Cartpole'; it has AcrobotSwingup, "),
             (NAME, {"gravity": 1}, f"playground:{NAME}: the option gravity=1 is unknown; it has "),
             (NAME, {"sim_dt": "x"}, f"playground:{NAME}: the option sim_dt='x' "),
+            (NAME, {"action_repeat": 0}, f"playground:{NAME}: action_repeat must be at least 1"),
             (NAME, {"vision_config.depth": 1}, "the option vision_config.depth=1 is unknown"),
         ],
     )

@@ -8,6 +8,7 @@ import pytest
 
 import envs
 from envs.pendulum import Pendulum
+from mapg_jax.cli import watch
 from mapg_jax.runs import live
 
 
@@ -52,6 +53,13 @@ def test_columns_name_heads_values_and_proposals():
 def test_what_has_no_viewer_is_refused(finished_run):
     with pytest.raises(ValueError, match=r"a run of pendulum, which MuJoCo's viewer cannot show"):
         live.show(finished_run)
+
+
+def test_a_window_writes_no_file(capsys):
+    with pytest.raises(SystemExit) as refused:
+        watch.parse(["runs/a", "--live", "--out", "a.gif"])
+    assert refused.value.code == 2
+    assert "--live shows a window and writes no --out" in capsys.readouterr().err
 
 
 def test_no_display_is_one_line(monkeypatch):
