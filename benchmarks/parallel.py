@@ -7,6 +7,7 @@ again, so that the command goes on where it was stopped. docs/parallel.md is mad
 
 import argparse
 import concurrent.futures
+import math
 import os
 import pathlib
 import shlex
@@ -187,14 +188,15 @@ def _after(found: Mapping[Run, Curve], cell: tuple, minutes: float) -> list[floa
 
 def _compared(paper: Sequence[float], parallel: Sequence[float]) -> tuple[str, ...]:
     """Both presets, what `parallel` gains, and how many seeds there are of each."""
-    gained = f"{np.mean(parallel) - np.mean(paper):+,.0f}" if paper and parallel else ""
+    gain = np.mean(parallel) - np.mean(paper) if paper and parallel else np.nan
+    gained = f"{gain:+,.0f}" if np.isfinite(gain) else ""
     return _range(paper), _range(parallel), gained, f"{len(paper)}, {len(parallel)}"
 
 
 def _range(values: Sequence[float]) -> str:
     """Their mean, and between which they lie."""
-    if not values:
-        return ""
+    if not np.isfinite(values).all() or not values:
+        return "not evaluated yet" if values else ""
     mean = f"{np.mean(values):,.0f}"
     return f"{mean} ({min(values):,.0f} to {max(values):,.0f})" if len(values) > 1 else mean
 
@@ -224,15 +226,23 @@ def draw(found: Mapping[Run, Curve]) -> matplotlib.figure.Figure:
         arm: {"color": plots.COLOURS[k // 2], "linestyle": ("--", "-")[k % 2]}
         for k, arm in enumerate(arms)
     }
-    panels = list(figure.subplots(2, 2).flat)
-    for axes, task in zip(panels, TASKS, strict=True):
+    tasks = [task for task in TASKS if any(run.task == task for run in found)]
+    panels = list(
+        figure.subplots(math.ceil(len(tasks) / 2), min(2, len(tasks)), squeeze=False).flat
+    )
+    for axes, task in zip(panels, tasks, strict=False):
         axes.set(title=task, xlabel="minutes", ylabel="return of an evaluation")
         for run, curve in found.items():
             if run.task == task:
                 style = styles[run.algorithm, run.preset]
                 axes.plot(curve["seconds"] / 60, curve["return_mean"], linewidth=1.2, **style)
+    shown = {(run.algorithm, run.preset) for run in found}
     for (algorithm, preset), style in styles.items():
+        if (algorithm, preset) not in shown:
+            continue
         panels[0].plot([], [], label=f"{algorithm}, {preset}", **style)
+    for axes in panels[len(tasks) :]:
+        axes.axis("off")
     figure.legend(loc="outside lower center", ncols=4, frameon=False)
     return figure
 
