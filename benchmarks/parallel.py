@@ -23,6 +23,7 @@ import matplotlib.figure
 import numpy as np
 
 from benchmarks import commands
+from mapg_jax.algorithms import registry
 from mapg_jax.reports import document, plots
 from mapg_jax.runs import csv_file
 from mapg_jax.runs.metrics import read_metrics
@@ -75,9 +76,13 @@ class Run(NamedTuple):
         flags += f"--preset {self.preset} --evaluate-every {task.evaluate_every[self.preset]} "
         if self.preset == "parallel":
             flags += of_parallel(self.algorithm, task.environments)
-        if self.algorithm != "ppo":
+        if learns_from_replay(self.algorithm):
             flags += " --no-save-replay"
         return shlex.split(f"{flags} --steps 2000000000")
+
+
+def learns_from_replay(algorithm: str) -> bool:
+    return registry.find(algorithm).experience == "replay"
 
 
 def of_parallel(algorithm: str, environments: int) -> str:
@@ -86,7 +91,7 @@ def of_parallel(algorithm: str, environments: int) -> str:
     Learning from replay: two samples of the batch an environment, eight updates a turn.
     """
     flags = f"--hidden 64 64 --environments {environments}"
-    if algorithm == "ppo":
+    if not learns_from_replay(algorithm):
         return flags
     return (
         f"{flags} --batch-size {2 * environments} --updates-per-step {8 / environments} "

@@ -123,8 +123,9 @@ def _film(folder: RunFolder) -> None:
     """The video that trackers are given; a task or a machine that cannot draw goes without."""
     try:
         film(folder)
-    except ValueError as error:
-        LOG.warning("no video for trackers: %s", error)
+    except Exception as error:  # whatever draws, the run is trained and scored
+        reason = (str(error).strip() or repr(error)).splitlines()[0]
+        LOG.warning("no video for trackers: %s", reason)
 
 
 def _score(folder: RunFolder, out: TextIO) -> None:

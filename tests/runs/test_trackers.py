@@ -67,7 +67,7 @@ def test_a_tracked_run_ends_with_its_video(drawable, recorder, finished_run, tmp
 
     def film(folder):
         if not drawable:
-            raise ValueError("no renderer")
+            raise OSError("no renderer")
         (folder.path / "video.gif").write_bytes(b"")
 
     monkeypatch.setattr(train, "film", film)
