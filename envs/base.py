@@ -1,8 +1,9 @@
 """The environment contract, and episodes: time limits and automatic resets that lose nothing.
 
-An environment is a `brax.envs.base.Env`: one instance, never batched (`jax.vmap` batches it), with
-all of its state in the `State` it returns. `done` means that the task itself ended; time limits
-and resets belong to `with_episodes`.
+An environment has the interface of `brax.envs.base.Env`: one instance, never batched (`jax.vmap`
+batches it), with all of its state in the `State` it returns. `done` means that the task itself
+ended; time limits and resets belong to `with_episodes`. (Brax's own classes would do, but importing
+them takes a second: behind them stand MJX and three physics engines.)
 """
 
 import abc
@@ -15,12 +16,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flax import struct
 from jax.custom_batching import custom_vmap
 from jaxtyping import Float, Float32
-
-with contextlib.redirect_stdout(None):  # importing brax.envs prints what its backends lack
-    import brax.envs.base
-    from brax.envs.base import State, Wrapper
 
 from envs.frames import Painter, Shown
 from envs.recording import Episode, Player
@@ -32,8 +30,19 @@ Action = Float[jax.Array | np.ndarray, "A"]
 """In [-1, 1]^A; clipped there first."""
 
 
-class Env(brax.envs.base.Env):
-    """Brax's environment with flat observations and actions in [-1, 1]."""
+class State(struct.PyTreeNode):
+    """Of one instance after a reset or a step; its fields are those of Brax's."""
+
+    pipeline_state: Any  # of the physics, whatever it is
+    obs: Any  # [D] float32
+    reward: Any  # []
+    done: Any  # [] float32, 1 where the task ended
+    metrics: dict[str, Any] = struct.field(default_factory=dict)
+    info: dict[str, Any] = struct.field(default_factory=dict)
+
+
+class Env(abc.ABC):
+    """One instance, with flat observations and actions in [-1, 1]."""
 
     action_high: np.ndarray
     """[A] float32, what an action of 1 is in Gymnasium's units."""
@@ -46,6 +55,14 @@ class Env(brax.envs.base.Env):
     saved: bool = True
     """Whether a state holds all of an episode: else a run that goes on begins its episodes anew."""
 
+    @abc.abstractmethod
+    def reset(self, rng: jax.Array) -> State:
+        """A fresh start, drawn by a key."""
+
+    @abc.abstractmethod
+    def step(self, state: State, action: Action) -> State:
+        """What the action makes of the state."""
+
     def limited(self, time_limit: int) -> "Env":
         """This environment, told how long its episodes can be; most need not know."""
         return self
@@ -54,6 +71,21 @@ class Env(brax.envs.base.Env):
     @abc.abstractmethod
     def observation_size(self) -> int:
         """D."""
+
+    @property
+    @abc.abstractmethod
+    def action_size(self) -> int:
+        """A."""
+
+    @property
+    @abc.abstractmethod
+    def backend(self) -> str:
+        """What steps it: native, mjx, jax, gymnasium, or a pipeline of Brax."""
+
+    @property
+    def unwrapped(self) -> "Env":
+        """The environment inside of all wrappers, as Brax's trainers ask for it."""
+        return self
 
     def render(
         self, episodes: Sequence[Episode], player: Player, folder: pathlib.Path
@@ -99,6 +131,40 @@ class Env(brax.envs.base.Env):
                 f"an action must have shape ({self.action_size},), got {np.shape(action)}"
             )
         return jnp.clip(jnp.asarray(action, jnp.float32), -1.0, 1.0)
+
+
+class Wrapper(Env):
+    """An environment round another, which answers for all that it does not change."""
+
+    def __init__(self, env: Any):
+        self.env = env
+
+    def reset(self, rng: jax.Array) -> State:
+        return self.env.reset(rng)
+
+    def step(self, state: State, action: Action) -> State:
+        return self.env.step(state, action)
+
+    @property
+    def observation_size(self) -> int:
+        return self.env.observation_size
+
+    @property
+    def action_size(self) -> int:
+        return self.env.action_size
+
+    @property
+    def backend(self) -> str:
+        return self.env.backend
+
+    @property
+    def unwrapped(self) -> Env:
+        return self.env.unwrapped
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):  # copying and pickling ask before there is an `env`
+            raise AttributeError(name)
+        return getattr(self.env, name)
 
 
 RESETS_PER_ROUND = 1 / 16
@@ -148,7 +214,7 @@ def where_ended(make: Callable[[Any], Any], ended: jax.Array, argument: Any, kep
     return select(ended, argument, kept)
 
 
-class Episodes(Wrapper, Env):
+class Episodes(Wrapper):
     """An environment that ends its episodes at a time limit and starts the next one by itself.
 
     `info` tells `terminated` (the task ended), `truncated` (the time limit was reached; both may
@@ -170,14 +236,6 @@ class Episodes(Wrapper, Env):
         self.time_limit = time_limit
         # What `Env` has a default for, the wrapper would otherwise not look up in `env`.
         self.scored_metrics, self.drawn_episodes = env.scored_metrics, env.drawn_episodes
-
-    @property
-    def observation_size(self) -> int:
-        return self.env.observation_size
-
-    @property
-    def backend(self) -> str:
-        return self.env.backend
 
     def render(
         self, episodes: Sequence[Episode], player: Player, folder: pathlib.Path

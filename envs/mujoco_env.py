@@ -1,4 +1,4 @@
-"""A MuJoCo task on a physics engine, as a `brax.envs.base.Env`."""
+"""A MuJoCo task on a physics engine."""
 
 import contextlib
 

@@ -184,7 +184,6 @@ def _text(hint: Any) -> str:
 
 def _as_env(name: str, made: Any, engine: str) -> "Env":
     from envs.base import Env
-    from envs.interop.brax import BraxEnv, is_brax
     from envs.mujoco_env import MujocoEnv
     from envs.mujoco_tasks.task import MujocoTask
 
@@ -194,6 +193,8 @@ def _as_env(name: str, made: Any, engine: str) -> "Env":
         if engine not in PHYSICS_ENGINES:
             raise ValueError(f"{name} is a MuJoCo task: register it with engines={PHYSICS_ENGINES}")
         return MujocoEnv(made, engine)
+    from envs.interop.brax import BraxEnv, is_brax  # Brax takes a second to import
+
     if is_brax(made):
         return BraxEnv(made)
     raise ValueError(

@@ -1,4 +1,4 @@
-"""The driving environment: a car on a track of a bank, as a `brax.envs.base.Env`."""
+"""The driving environment: a car on a track of a bank."""
 
 import functools
 import math

@@ -11,7 +11,7 @@ import numpy as np
 with contextlib.redirect_stdout(None):  # importing brax.envs prints what its backends lack
     from brax import envs as brax_envs
 
-from envs.base import Action, Env, State, Wrapper
+from envs.base import Action, State, Wrapper
 
 TIME_LIMIT = 1000
 """Steps of an episode in Brax's own training runs."""
@@ -51,7 +51,7 @@ def is_brax(made: Any) -> bool:
     return isinstance(made, brax_envs.Env)
 
 
-class BraxEnv(Wrapper, Env):
+class BraxEnv(Wrapper):
     """A Brax environment whose actions are float32 in [-1, 1]^A, clipped there first."""
 
     def __init__(self, env: brax_envs.Env):
@@ -72,7 +72,23 @@ class BraxEnv(Wrapper, Env):
     def action_high(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleVariableOverride]
         return np.ones(self.action_size, np.float32)
 
+    def reset(self, rng: jax.Array) -> State:
+        return _ours(self.env.reset(rng))
+
     def step(self, state: State, action: Action) -> State:
         # Brax writes its metrics into the caller's dictionary; a copy keeps `step` pure.
-        state = state.replace(metrics=dict(state.metrics), info=dict(state.info))
-        return self.env.step(state, self.clipped(action))
+        theirs = brax_envs.State(
+            state.pipeline_state,
+            state.obs,
+            state.reward,
+            state.done,
+            dict(state.metrics),
+            dict(state.info),
+        )
+        return _ours(self.env.step(theirs, self.clipped(action)))
+
+
+def _ours(theirs: brax_envs.State) -> State:
+    return State(
+        theirs.pipeline_state, theirs.obs, theirs.reward, theirs.done, theirs.metrics, theirs.info
+    )

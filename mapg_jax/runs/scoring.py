@@ -5,7 +5,6 @@ import math
 import os
 from typing import Any, Literal
 
-import gymnasium
 import jax
 import numpy as np
 
@@ -122,6 +121,8 @@ def _in_jax(folder, policy: Policy, episodes, physics, select, seed):
 
 
 def _in_gymnasium(folder, policy: Policy, episodes, physics, select, seed):
+    import gymnasium  # slow to import
+
     config = folder.config
     env_id = envs.spec(config.env).gymnasium_id
     if env_id is None:
