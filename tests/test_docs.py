@@ -32,6 +32,7 @@ def run(command, folder):
     return done.stdout
 
 
+@pytest.mark.slow
 def test_the_algorithm_trains_sweeps_and_keeps_the_contract(folder):
     (shell,) = (text for mark, text in BLOCKS if mark == "shell")
     for line in shell.splitlines():

@@ -16,6 +16,7 @@ def is_fault(outcome: str) -> bool:
     return outcome.split(":")[0].isupper()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1_000_000, 1_000_010))
 def test_a_damaged_run_folder_is_what_was_saved_or_is_refused(prepared, seed):
     damage, outcome = damages.scenario(seed)

@@ -259,6 +259,7 @@ def test_entropy_keeps_the_variance_where_nothing_is_to_be_gained():
         assert low < float(variance) < high
 
 
+@pytest.mark.slow
 def test_it_learns_pendulum():
     """A random policy has about -1,200 and a good one -150; 600,000 steps give some -220."""
     trainer = make_trainer(Config(env="pendulum", algorithm="a3c", seed=100))

@@ -71,14 +71,10 @@ def test_a_run_of_ones_own(mapg, tmp_path):
 
     # A run folder is data: what it was trained with is not imported by itself.
     (tmp_path / "run" / "own.py").write_text("raise SystemExit('read from a run folder')")
-    for command in ("evaluate", "resume", "report"):
-        done = mapg(command, "run")
-        assert (done.returncode, done.stdout) == (2, "")
-        assert done.stderr.startswith("mapg: ") and done.stderr.count("\n") == 1
-        assert (
-            "algorithm must be one of mapg, a3c, td3, sac, naf, ppo, trpo, got 'mine'"
-            in done.stderr
-        )
+    done = mapg("report", "run")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("mapg: ") and done.stderr.count("\n") == 1
+    assert "algorithm must be one of mapg, a3c, td3, sac, naf, ppo, trpo, got 'mine'" in done.stderr
     done = mapg("report", "run", "--import=own")
     assert done.returncode == 0, done.stderr
     assert "mine, M = 3" in done.stdout

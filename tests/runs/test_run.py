@@ -189,6 +189,7 @@ def test_another_machine_is_said(finished_run, tmp_path, caplog):
     assert re.search(r"run was trained by jax 0\.1, here .*; processor abacus, here ", caplog.text)
 
 
+@pytest.mark.slow
 def test_a_member_of_a_group_goes_on_in_the_program_of_all(tmp_path):
     """One of three is cut off after the others ended: it ends bit for bit as with them."""
     configs = [dataclasses.replace(oracles.RUN, seed=seed, heads=2) for seed in (0, 1, 2)]

@@ -83,6 +83,7 @@ def test_what_is_wrong_is_said(monkeypatch):
         launcher("ray")
 
 
+@pytest.mark.slow
 def test_jobs_of_submitit_end_like_workers_of_this_machine(local, tmp_path):
     jobs = carry_out(launcher("slurm", ["cluster=local"]), tmp_path)
     for ours, theirs in zip(jobs, local, strict=True):

@@ -23,7 +23,7 @@ RUNS = {
     "mapg": preset("smoke", "mapg", **SMALL, **REPLAY),
     "a3c": preset("smoke", "a3c", rollout_steps=8, **SMALL),
 }
-"""What runs on 8 devices: `python test_shards.py` prints what two turns came to."""
+"""What runs on 8 devices: `python test_shards.py NAME DEVICES…` prints where it was the same."""
 
 
 def over(*axes):
@@ -92,27 +92,32 @@ def test_devices_divide_the_shards_and_are_there():
         Layout(4, 2)
 
 
-def test_the_same_run_on_one_four_and_eight_devices():
+@pytest.mark.parametrize(
+    ("name", "devices"),
+    [("mapg", [8]), *(pytest.param(name, [4, 8], marks=pytest.mark.slow) for name in RUNS)],
+)
+def test_the_same_run_on_one_device_and_several(name, devices):
     """Draws and whole numbers are the same, others within 1e-5 after two turns."""
     flags = "--xla_force_host_platform_device_count=8 --xla_backend_optimization_level=0"
     environ = {**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run(
-        [sys.executable, __file__], env=environ, capture_output=True, text=True, timeout=600
-    )
+        [sys.executable, __file__, name, *map(str, devices)],
+        env=environ, capture_output=True, text=True, timeout=600,
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr[-3000:]
-    assert done.stdout.split() == [f"{name}:{d}" for name in RUNS for d in (4, 8)]
+    assert done.stdout.split() == list(map(str, devices))
 
 
-def compare_devices() -> None:
+def compare_devices(name: str, *several: str) -> None:
     """In a process with 8 devices."""
-    for name, config in RUNS.items():
-        found = {d: after_two_turns(config, d) for d in (1, 4, 8)}
-        for devices in (4, 8):
-            for path, x in found[1].items():
-                np.testing.assert_allclose(found[devices][path], x, rtol=1e-5, atol=1e-5)
-                if not np.issubdtype(x.dtype, np.floating):
-                    np.testing.assert_array_equal(found[devices][path], x)
-            print(f"{name}:{devices}")
+    alone = after_two_turns(RUNS[name], 1)
+    for devices in several:
+        found = after_two_turns(RUNS[name], int(devices))
+        for path, x in alone.items():
+            np.testing.assert_allclose(found[path], x, rtol=1e-5, atol=1e-5)
+            if not np.issubdtype(x.dtype, np.floating):
+                np.testing.assert_array_equal(found[path], x)
+        print(devices)
 
 
 def after_two_turns(config: Config, devices: int) -> dict[str, np.ndarray]:
@@ -131,4 +136,4 @@ def after_two_turns(config: Config, devices: int) -> dict[str, np.ndarray]:
 
 
 if __name__ == "__main__":
-    compare_devices()
+    compare_devices(*sys.argv[1:])
