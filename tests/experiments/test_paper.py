@@ -107,8 +107,8 @@ def test_every_experiment_trains_measures_and_draws(tmp_path):
     driving = [("ddpg", 1, 320), ("mapg", 10, 320)]
     assert sorted(arms) == [("driving", *x) for x in driving] + [("pendulum", *x) for x in pendulum]
     assert_shown(made, ["fig2.png", "fig3.png", "fig4.png", "heads.png"])
-    for name in ("table2", "fig2", "fig3", "fig4", "torcs", "overhead", "heads", "returns"):
-        assert_whole(made, name)
+    for section in ("table2", "fig2", "fig3", "fig4", "torcs", "overhead", "heads", "returns"):
+        assert_whole(made, section)
 
 
 @pytest.mark.parametrize("name", NAMES)
