@@ -5,6 +5,7 @@ import time
 import jax
 
 from mapg_jax.sweeps.groups import Group
+from mapg_jax.training.config import ReplayConfig
 from mapg_jax.training.lockstep import Lockstep, program_key
 
 MEASURED_SECONDS = 1.0
@@ -36,7 +37,8 @@ def _seconds(group: Group) -> float:
     trainer = program.trainer
     state = program.init()
     run = program.jitted_run.lower(state, 0).compile()
-    turns = config.learning_starts // trainer.steps_per_turn + 1
+    begins = config.learning_starts if isinstance(config, ReplayConfig) else 0
+    turns = begins // trainer.steps_per_turn + 1
     state, _ = _timed(run, state, turns)
     seconds, counted = 0.0, 0
     while seconds < MEASURED_SECONDS:
