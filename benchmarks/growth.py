@@ -18,7 +18,7 @@ import envs
 from benchmarks import commands
 from envs.base import Action
 from mapg_jax.reports import document, plots
-from mapg_jax.training.config import Config, preset
+from mapg_jax.training.config import Config, ReplayConfig, preset
 from mapg_jax.training.lockstep import Lockstep
 
 SECONDS = 0.5
@@ -55,8 +55,8 @@ class Plain(envs.Env):
 
     def step(self, state: envs.State, action: Action) -> envs.State:
         observation = 0.99 * jnp.asarray(state.obs) + 0.1 * self.clipped(action)[0]
-        return state.replace(
-            pipeline_state=observation, obs=observation, reward=-(observation[0] ** 2)
+        return dataclasses.replace(
+            state, pipeline_state=observation, obs=observation, reward=-(observation[0] ** 2)
         )
 
 
@@ -178,7 +178,7 @@ def measure(configs: Sequence[Config], quick: bool) -> Cost:
     """Time and memory of a turn of these runs, once they learn."""
     program = Lockstep(configs)
     state = program.init()
-    size = jnp.full_like(state.replay.size, configs[0].replay_size)
+    size = jnp.full_like(state.replay.size, cast(ReplayConfig, configs[0]).replay_size)
     state = state.replace(replay=state.replay.replace(size=size))  # as if it were full
     run = program.jitted_run.lower(state, 0).compile()
     memory = _bytes(run)

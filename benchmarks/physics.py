@@ -8,6 +8,8 @@ import numpy as np
 from mujoco.batch import Batch
 
 import envs
+from envs.mujoco_env import MujocoEnv
+from envs.mujoco_tasks.halfcheetah import HalfCheetah
 
 SIMULATIONS = 256
 STEPS = 50
@@ -22,9 +24,9 @@ def _rate(function) -> float:
 
 def measure() -> dict[str, float]:
     """Control steps per second, the median over interleaved rounds, of each of the three."""
-    env = envs.make("halfcheetah", engine="native")
+    env = MujocoEnv(HalfCheetah(), "native")
     episodes = envs.with_episodes(env, 1000)
-    batch = Batch(env.unwrapped.task.model, SIMULATIONS)
+    batch = Batch(env.task.model, SIMULATIONS)
     control = np.random.default_rng(0).uniform(-1, 1, (STEPS, SIMULATIONS, 6))
     actions = jnp.asarray(control, jnp.float32)
     keys = jax.random.split(jax.random.key(0), SIMULATIONS)
@@ -32,7 +34,7 @@ def measure() -> dict[str, float]:
     def raw():
         for ctrl in control:
             batch.ctrl = ctrl
-            batch.step(nstep=env.unwrapped.task.frame_skip)
+            batch.step(nstep=env.task.frame_skip)
 
     def scan(step):
         def body(carry, action):
@@ -40,8 +42,7 @@ def measure() -> dict[str, float]:
 
         return jax.jit(lambda carry: jax.lax.scan(body, carry, actions)[0])
 
-    engine = env.unwrapped.engine
-    callback = scan(lambda state, action: engine.step(state, action)[0])
+    callback = scan(lambda state, action: env.engine.step(state, action)[0])
     whole = scan(episodes.step)
     bits = jax.vmap(env.reset)(keys).pipeline_state
     states = jax.vmap(episodes.reset)(keys)

@@ -1,6 +1,6 @@
 """Figure 2: spread of the ten actions and return while Pendulum is learnt."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.stats
@@ -58,7 +58,8 @@ def by_seed(plan: Plan) -> BySeed:
 def correlation(x: np.ndarray, y: np.ndarray) -> float:
     """Spearman's; nan where there is nothing to rank, or a number never changes."""
     ranked = len(x) > 1 and np.ptp(x) > 0 and np.ptp(y) > 0
-    return float(scipy.stats.spearmanr(x, y).statistic) if ranked else np.nan
+    spearman: Any = scipy.stats.spearmanr  # whose result is of a type made at run time
+    return float(spearman(x, y).statistic) if ranked else np.nan
 
 
 def detrended(x: np.ndarray, y: np.ndarray, time: np.ndarray) -> float:

@@ -4,6 +4,7 @@ import itertools
 import os
 import time
 from collections.abc import Callable
+from typing import cast
 
 import jax
 import numpy as np
@@ -16,9 +17,10 @@ from mapg_jax.reports.document import Table
 from mapg_jax.runs.folder import this_process
 from mapg_jax.runs.host import this_host
 from mapg_jax.runs.signals import StoppedError, caught_signals
-from mapg_jax.training.config import Config
+from mapg_jax.training.config import Config, ReplayConfig
 from mapg_jax.training.state import TrainState
 from mapg_jax.training.trainer import make_trainer
+from mapg_jax.training.turns import ReplayTurn
 
 TIMES = "overhead.csv"
 
@@ -62,7 +64,7 @@ class TimedArm:
     """One M: a training state that has begun to learn, and two programs to time."""
 
     def __init__(self, plan: Plan, m: int, seconds: float):
-        self.config = plan.config("hopper", heads=m)
+        self.config = cast(ReplayConfig, plan.config("hopper", heads=m))
         self.trainer = make_trainer(self.config)
         started = self.config.learning_starts // self.config.environments + 1
         self.state = self.trainer.jitted_run(self.trainer.jitted_init(0), started)
@@ -82,9 +84,11 @@ class TimedArm:
     def _updates(self, state: TrainState, repeats: jax.Array) -> TrainState:
         """The updates of that many turns, without their environment steps."""
 
+        learn = cast(ReplayTurn, self.trainer.turn).learn
+
         def turn(i, state):
             keys = jax.random.split(jax.random.fold_in(state.key, i))
-            return self.trainer.turn.learn(state, *keys)
+            return learn(state, *keys)
 
         return jax.lax.fori_loop(0, repeats, turn, state)
 

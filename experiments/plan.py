@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Literal, NamedTuple
 
 from mapg_jax.algorithms import registry
-from mapg_jax.training.config import Config, Preset, fields, preset
+from mapg_jax.training.config import Config, Preset, ReplayConfig, fields, preset
 
 TASKS = ("hopper", "walker2d", "humanoid", "halfcheetah", "swimmer")
 HEADS = (5, 10, 20, 50)
@@ -44,7 +44,7 @@ SEEDS_OF_HUMANOID = {"core": 6, "others": 2}
 class Plan(NamedTuple):
     """What all runs of an invocation share, how many there are, and where they go."""
 
-    base: Config
+    base: ReplayConfig
     """MAPG by the preset, with the steps and the cadence of evaluation that all runs share."""
     seeds: int | None
     """Of a cell, at most; by default as many as the protocol has."""

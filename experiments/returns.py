@@ -77,9 +77,7 @@ def play(policy: Policy, config: Config, horizon: int = HORIZON) -> Returns:
     proposals, q_heads = agent.proposals(state, observation)
     proposals, q_heads = proposals[:, :m], q_heads[:, :m]
     random = jax.random.uniform(action_key, (STATES, ACTIONS, size), minval=-1.0, maxval=1.0)
-    q_actions = agent.algorithm.values(
-        state.learner.critic, agent.normalize(state, observation), random
-    )
+    q_actions = agent.q_values(state, observation, random)
     # By state: every head and every action R times, and every head once that is held.
     first = jnp.concatenate(
         [jnp.repeat(proposals, REPEATS, 1), jnp.repeat(random, REPEATS, 1), proposals], 1

@@ -79,7 +79,7 @@ def from_points(
         np.append(values, values[0])
         for values in np.fft.ifft(spectrum * (1j * frequency) ** np.array([[0], [1], [2]]))
     )
-    curvature = np.abs((slope.conj() * bend).imag) / np.abs(slope) ** 3
+    curvature = np.abs(np.imag(slope.conj() * bend)) / np.abs(slope) ** 3
     cell = np.minimum(np.sqrt(8 * SAGITTA / np.maximum(curvature, 1e-9)), LONGEST_CELL)
 
     s = _running(np.abs(np.diff(curve)))
@@ -88,8 +88,8 @@ def from_points(
     heading = np.unwrap(np.angle(slope))
     return Track(
         name=name,
-        x=np.interp(node, s, curve.real),
-        y=np.interp(node, s, curve.imag),
+        x=np.interp(node, s, np.real(curve)),
+        y=np.interp(node, s, np.imag(curve)),
         heading=np.interp(node, s, heading),
         s=node,
         width=np.interp(

@@ -35,8 +35,8 @@ class SingleEnv(gymnasium.Env):
             if render_mode != "rgb_array" or type(self._env).painter is Env.painter:
                 _refuse_to_render(name, render_mode)
             self._paint = self._env.painter(PICTURE, PICTURE)
-        if hasattr(self._env, "dt"):
-            self.metadata = {**self.metadata, "render_fps": round(1 / self._env.dt)}
+        if (dt := getattr(self._env, "dt", None)) is not None:
+            self.metadata = {**self.metadata, "render_fps": round(1 / dt)}
         self.observation_space, self.action_space = spaces(self._env)
         self._reset, self._step = jax.jit(self._env.reset), jax.jit(self._env.step)
         self._state: Any = None  # before the first reset

@@ -4,6 +4,7 @@ import os
 import pathlib
 import shutil
 
+from mapg_jax.training.config import ReplayConfig
 from mapg_jax.training.state import tree_bytes
 from mapg_jax.training.trainer import Trainer
 
@@ -11,7 +12,7 @@ from mapg_jax.training.trainer import Trainer
 def checkpoint_bytes(trainer: Trainer) -> int:
     """Of one checkpoint, at most: the replay full, nothing compressed."""
     shapes = trainer.shapes
-    if shapes.replay is not None and not trainer.config.save_replay:
+    if isinstance(trainer.config, ReplayConfig) and not trainer.config.save_replay:
         shapes = shapes.replace(replay=None)
     return tree_bytes(shapes)
 

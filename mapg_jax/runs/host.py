@@ -5,6 +5,7 @@ import os
 import pathlib
 import platform
 import subprocess
+from typing import Any
 
 import jax
 
@@ -27,7 +28,8 @@ def precise() -> contextlib.AbstractContextManager:
 
 def precision() -> str:
     """JAX_DEFAULT_MATMUL_PRECISION, or ours."""
-    return str(jax.config.jax_default_matmul_precision or PRECISION)
+    settings: Any = jax.config  # JAX gives it its attributes at run time
+    return str(settings.jax_default_matmul_precision or PRECISION)
 
 
 def this_host(engine: str) -> dict[str, str]:

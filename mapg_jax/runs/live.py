@@ -39,7 +39,7 @@ def show(
             f"{folder.path} is a run of {folder.config.env}, which MuJoCo's viewer cannot show; "
             "leave out --live for a video"
         )
-    asked, seconds = player(policy), float(policy.env.dt)
+    asked, seconds = player(policy), float(getattr(policy.env, "dt", 0.1))
     limit = min(steps, folder.config.episode_steps())
     window = policy.env.viewer()  # refuses before anything is played
     played = record(policy, limit, episodes, seed, select)

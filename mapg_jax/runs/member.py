@@ -14,6 +14,7 @@ from mapg_jax.runs.checkpoints import Checkpoints, DamagedError
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.metrics import MetricsFile, cut_metrics, rows_digest
 from mapg_jax.training import replay
+from mapg_jax.training.config import ReplayConfig
 from mapg_jax.training.evaluation import Played, summarize
 from mapg_jax.training.state import Totals
 from mapg_jax.training.trainer import Trainer
@@ -66,7 +67,7 @@ class Member:
                 "that were written"
             )
         self.seconds_before = float(host["seconds"])
-        if state.replay is not None and not self.config.save_replay:
+        if isinstance(self.config, ReplayConfig) and not self.config.save_replay:
             LOG.warning(
                 "%s was saved without its replay, which is filled anew: its numbers are not those "
                 "of a run that never stopped",
@@ -78,7 +79,7 @@ class Member:
         """Begins a checkpoint of a plain state, `seconds` into this process's part of the run."""
         metrics = rows_digest(self.folder.metrics, int(state.env_steps))
         host = {"seconds": self.seconds_before + seconds, "metrics": metrics}
-        if state.replay is not None and not self.config.save_replay:
+        if isinstance(self.config, ReplayConfig) and not self.config.save_replay:
             state = state.replace(replay=replay.emptied(state.replay))
         self.checkpoints.begin_to_save(state, host)
 

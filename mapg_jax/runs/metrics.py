@@ -49,7 +49,8 @@ class MetricsFile:
     def _tell(self, step: int, **what: Any) -> None:
         from tensorboardX.proto import event_pb2
 
-        event = event_pb2.Event(step=step, wall_time=time.time(), **what)
+        proto: Any = event_pb2  # whose classes protobuf makes at run time
+        event = proto.Event(step=step, wall_time=time.time(), **what)
         self._events.write_event(event)
 
     def close(self) -> None:

@@ -162,9 +162,10 @@ def environment() -> dict[str, str]:
     if (CHECKOUT / "pyproject.toml").exists():
         paths = [str(CHECKOUT), os.environ.get("PYTHONPATH", "")]
         ours["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
-    if jax.config.jax_compilation_cache_dir:
-        seconds = jax.config.jax_persistent_cache_min_compile_time_secs
-        ours["JAX_COMPILATION_CACHE_DIR"] = str(jax.config.jax_compilation_cache_dir)
+    settings: Any = jax.config  # JAX gives it its attributes at run time
+    if settings.jax_compilation_cache_dir:
+        seconds = settings.jax_persistent_cache_min_compile_time_secs
+        ours["JAX_COMPILATION_CACHE_DIR"] = str(settings.jax_compilation_cache_dir)
         ours["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = str(seconds)
     return ours
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import optuna
+from optuna.storages.journal import JournalFileBackend
 
 from mapg_jax.runs.folder import FORMAT, RunFolder, make_folder, write_json
 from mapg_jax.runs.metrics import read_metrics
@@ -109,7 +110,7 @@ class SearchFolder:
 
     def study(self) -> optuna.Study:
         """The trials so far; Optuna's tree of Parzen estimators asks, its median rule prunes."""
-        backend = optuna.storages.journal.JournalFileBackend(str(self.path / "study.journal"))
+        backend = JournalFileBackend(str(self.path / "study.journal"))
         return optuna.create_study(
             storage=optuna.storages.JournalStorage(backend),
             study_name="search",

@@ -5,6 +5,7 @@ import subprocess
 from collections.abc import Sequence
 
 import submitit
+from submitit.core.utils import FailedJobError, UncompletedJobError
 
 from mapg_jax.sweeps import launchers
 from mapg_jax.sweeps.launchers import Share
@@ -37,7 +38,7 @@ class Launcher:
         executor = self._executor(log.parent.parent / "slurm")  # a run folder holds no links
         try:
             job = executor.submit(Task(command, log, launchers.environment()))
-        except submitit.core.utils.FailedJobError as error:
+        except FailedJobError as error:
             raise OSError(f"Slurm takes no job: {str(error).splitlines()[0]}") from None
         return Job(job, log)
 
@@ -79,7 +80,7 @@ class Job:
     def wait(self) -> int:
         try:
             return int(self._job.result())
-        except (submitit.core.utils.FailedJobError, submitit.core.utils.UncompletedJobError):
+        except (FailedJobError, UncompletedJobError):
             return 1
         finally:
             stop_file(self._log).unlink(missing_ok=True)

@@ -1,0 +1,5 @@
+"""What MuJoCo's bindings in C++ define has no types: to pyright it is Any."""
+
+from typing import Any
+
+def __getattr__(name: str) -> Any: ...
