@@ -7,17 +7,15 @@ import argparse
 import datetime
 import importlib.metadata
 import os
-import pathlib
 import platform
 import tempfile
 
 import numpy as np
 
-from benchmarks import commands, devices, driving, growth, learning, physics, sweep
+from benchmarks import commands, devices, driving, growth, learning, page, physics, sweep
 
 ROUNDS = 3
 ALONE = {"devices": devices.report, "growth": growth.report}
-REPORT = pathlib.Path("benchmarks/results.md")
 
 
 def main() -> None:
@@ -31,7 +29,10 @@ def main() -> None:
     rounds = 1 if quick else ROUNDS
     if arguments.only:
         for name in arguments.only:
-            _renew(ALONE[name](quick), quick)
+            section = ALONE[name](quick)
+            print(section)
+            if not quick:
+                page.renew(section)
         return
     sections = [
         _header(rounds),
@@ -45,20 +46,8 @@ def main() -> None:
     ]
     text = "\n\n".join(sections) + "\n"
     if not quick:
-        REPORT.write_text(text)
+        page.FILE.write_text(text)
     print(text)
-
-
-def _renew(section: str, quick: bool) -> None:
-    """Puts a section in the place of the one of its title, or at the end of the page."""
-    print(section)
-    if quick:
-        return
-    today = f"Measured by itself on {datetime.date.today()}."
-    title, _, rest = section.partition("\n")
-    page = REPORT.read_text().rstrip().split("\n\n## ")
-    kept = [part for part in page if part.partition("\n")[0] != title.removeprefix("## ")]
-    REPORT.write_text("\n\n## ".join([*kept, f"{title[3:]}\n\n{today}{rest}"]) + "\n")
 
 
 def _header(rounds: int) -> str:
