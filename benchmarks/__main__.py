@@ -12,10 +12,24 @@ import tempfile
 
 import numpy as np
 
-from benchmarks import commands, devices, driving, growth, learning, page, physics, sweep
+from benchmarks import (
+    commands,
+    devices,
+    driving,
+    growth,
+    learning,
+    page,
+    physics,
+    reach,
+    sweep,
+)
 
 ROUNDS = 3
-ALONE = {"devices": devices.report, "growth": growth.report}
+ALONE = {
+    "devices": devices.report,
+    "growth": growth.report,
+    "reach": lambda _: reach.report(),  # of what has been run: it takes hours
+}
 
 
 def main() -> None:
@@ -43,6 +57,7 @@ def main() -> None:
         sweep.report(rounds, quick),
         devices.report(quick),
         growth.report(quick),
+        reach.report(),
     ]
     text = "\n\n".join(sections) + "\n"
     if not quick:
