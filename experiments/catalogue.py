@@ -11,7 +11,7 @@ from mapg_jax.training.config import Config
 Name = Literal[
     "claims", "effects", "table2", "fig1", "fig5", "fig2", "fig3", "fig4", "torcs", "heads",
     "returns", "several", "collapse",
-    "carryover", "overhead", "repeats",
+    "carryover", "reference", "overhead", "repeats",
 ]  # fmt: skip
 TITLES: dict[Name, str] = {
     "claims": "The claims",
@@ -28,11 +28,12 @@ TITLES: dict[Name, str] = {
     "several": "Where several actions pay",
     "collapse": "Why the heads come together",
     "carryover": "Other algorithms with several actions",
+    "reference": "Each algorithm by its published settings",
     "overhead": "What the heads cost",
     "repeats": "Two runs of version 1, made again",
 }
 """In the order of the page."""
-LATER: tuple[Name, ...] = ("several", "collapse", "carryover")
+LATER: tuple[Name, ...] = ("several", "collapse", "carryover", "reference")
 """Whose runs come after all others, each in its own order."""
 
 

@@ -3,7 +3,7 @@
 import pathlib
 from collections.abc import Mapping
 
-from experiments import claims, rows, scores, table2
+from experiments import claims, reference, rows, scores, table2
 from experiments.catalogue import TITLES, Name, experiment, runs
 from experiments.plan import FIRST_SEED, Plan, is_the_papers
 from mapg_jax.reports.document import Table
@@ -100,6 +100,7 @@ def write_headline(plan: Plan, readme: pathlib.Path) -> None:
     parts = {
         "table 2": table2.beside_the_paper(plan).markdown(),
         "claims": verdict_table.markdown(),
+        "reference": reference.table(plan).markdown(),
         "answer": answer(plan),
     }
     if readme.exists():

@@ -146,8 +146,18 @@ def is_the_papers(plan: Plan) -> bool:
     return plan.results == pathlib.Path("results") and not plan.flags
 
 
+def by_reference(algorithm: str, **changes: Any) -> Config:
+    """One run by the settings that are published for an algorithm."""
+    return preset("reference", algorithm, **changes)
+
+
 def name(config: Config, plan: Plan) -> str:
     """The folder of a run, by what sets it apart: `hopper-ddpg-m1-s2000`."""
+    free = {"env", "seed", "heads", *SHARED} & set(fields(type(config)))
+    own = {field: getattr(config, field) for field in free}
+    if config == by_reference(config.algorithm, **own):
+        steps = config.steps
+        return f"{config.env}-{config.slug}-reference-m{config.heads}-{steps}-s{config.seed}"
     parts = [config.env, config.slug, f"m{config.heads}"]
     if config.steps != plan.base.steps:
         parts.append(str(config.steps))

@@ -17,6 +17,7 @@ from experiments import (
     overhead,
     page,
     paper,
+    reference,
     rows,
     scores,
     several,
@@ -299,7 +300,12 @@ def test_the_order_is_that_of_the_protocol():
     ordered = paper.runs(plan, list(paper.TITLES))
     folders = [name(config, plan) for config in ordered]
     assert len(set(folders)) == len(folders)
-    later = [*several.runs(plan), *collapse.runs(plan), *carryover.runs(plan)]
+    later = [
+        *several.runs(plan),
+        *collapse.runs(plan),
+        *carryover.runs(plan),
+        *reference.runs(plan),
+    ]
     first = ordered[: -len(later)]
     assert [*in_order(plan, reversed(first)), *later] == ordered
     counts = collections.Counter(item(config, plan) for config in first)
@@ -309,7 +315,8 @@ def test_the_order_is_that_of_the_protocol():
     counts = collections.Counter(config.algorithm for config in later)
     small, restricted = 6 * 10, 2 * 5  # runs of an arm
     assert len(several.runs(plan)) == 8 * (small + restricted)
-    counts = counts - collections.Counter(config.algorithm for config in several.runs(plan))
+    for module in (several, reference):
+        counts = counts - collections.Counter(config.algorithm for config in module.runs(plan))
     assert counts == {"mapg": 150, "naf": 20, "trpo": 60, "ppo": 60, "td3": 40, "sac": 40}
     assert [config.seed for config in carryover.runs(plan)[:5]] == [2000] * 4 + [2001]
     assert {config.seed for config in ordered[:8]} == {2000}
