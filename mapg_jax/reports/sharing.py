@@ -162,6 +162,9 @@ def card(folder: RunFolder) -> str:
         ["environment steps of training", f"{score['env_steps']:,}"],
     ]
     packages = history[-1]["packages"]
+    made = [f"{entry['date']}: `{entry['command']}`" for entry in history]
+    if score["env_steps"] < config.steps:
+        made.append(f"stopped at {score['env_steps']:,} of {config.steps:,} steps")
     blocks: list[Block] = [
         Heading(title, 1),
         Paragraph(
@@ -178,7 +181,7 @@ def card(folder: RunFolder) -> str:
             )
         ),
         Heading("Made by", 2),
-        Bullets([f"{entry['date']}: `{entry['command']}`" for entry in history]),
+        Bullets(made),
         Paragraph(f"What differs from the preset `paper`: {settings(config) or 'nothing'}."),
         Heading("Versions", 2),
         Table(("package", "version"), [[name, str(v)] for name, v in packages.items()]),

@@ -58,6 +58,7 @@ def test_the_card_says_what_the_files_say(scored, tmp_path):
     low, high = score["ci95"]
     assert f"{low:,.1f} to {high:,.1f}" in text and f"| episodes | {score['episodes']} |" in text
     assert "![Episodes](video.gif)" in text and "mapg" in text.split("## Made by")[1]
+    assert f"- stopped at {score['env_steps']} of {oracles.RUN.steps} steps" in text
 
 
 def test_what_cannot_be_given_is_named_and_nothing_is_left(scored, tmp_path):
