@@ -64,7 +64,8 @@ class Algorithm(Protocol):
     diverged."""
     experience: ClassVar[Experience]
     selects: ClassVar[tuple[str, ...]]
-    """The ways in which `act` can make one action of a state's proposals, the default first."""
+    """The ways in which `act` can make one action of a state's proposals; runs are scored by
+    `uniform`, which must be among them."""
     presets: ClassVar[Any]
     """By preset, the options in which it departs from its defaults."""
 

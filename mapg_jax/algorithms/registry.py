@@ -33,16 +33,20 @@ def register(name: str, algorithm: Any) -> None:
     """Makes an algorithm known under a name, in this process; see `base.Algorithm`.
 
     Raises:
-      ValueError: if another has the name, it is no plain name, or something is missing.
+      ValueError: if another has the name or the slug, it is no plain name, or something is missing.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_-]*", name):
         raise ValueError(f"an algorithm's name is of a-z, 0-9, _ and -, got {name!r}")
-    if _ALGORITHMS.setdefault(name, algorithm) is not algorithm:
+    if _ALGORITHMS.get(name, algorithm) is not algorithm:
         raise ValueError(f"there is another algorithm {name!r}")
-    lacking = [part for part in _parts() if not hasattr(algorithm, part)]
-    if lacking:
-        del _ALGORITHMS[name]
+    if lacking := [part for part in _parts() if not hasattr(algorithm, part)]:
         raise ValueError(f"the algorithm {name!r} lacks {', '.join(lacking)}")
+    if "uniform" not in algorithm.selects:
+        raise ValueError(f"the algorithm {name!r} needs uniform among its selects: it is scored so")
+    for other, known in _ALGORITHMS.items():
+        if other != name and (shared := _slugs(algorithm) & _slugs(known)):
+            raise ValueError(f"the algorithm {name!r} has the slug {shared.pop()!r} of {other!r}")
+    _ALGORITHMS[name] = algorithm
 
 
 def names() -> tuple[str, ...]:
@@ -83,6 +87,11 @@ def of_slug(slug: str, heads: int):
 def name_of(algorithm: Any) -> str:
     """The name by which an algorithm is registered."""
     return next(name for name, known in _ALGORITHMS.items() if known is algorithm)
+
+
+def _slugs(algorithm: Any) -> set[str]:
+    """Of one action and of several."""
+    return {algorithm.slug(heads) for heads in (1, 2)}
 
 
 def _offered() -> importlib.metadata.EntryPoints:

@@ -31,7 +31,9 @@ class Config(Options):
         "Physics engine: native (MuJoCo's C engine), mjx, jax (tasks in pure JAX), or auto.",
     )
     time_limit: int | None = option(
-        None, "Steps after which an episode is truncated; by default Gymnasium's.", at_least=1
+        None,
+        "Steps after which an episode is truncated; by default that of `mapg envs`.",
+        at_least=1,
     )
     truncation: Literal["bootstrap", "terminal"] = option(
         "bootstrap",
@@ -39,7 +41,7 @@ class Config(Options):
     )
     algorithm: str = option(
         "mapg",
-        "mapg, which is DDPG where M = 1; a3c, the paper's baseline; or one of yours.",
+        "What learns: mapg, which is DDPG where M = 1; another of docs/algorithms.md; or yours.",
         known=registry.names,
     )
     # Counters are int32, and so are seeds.

@@ -339,7 +339,5 @@ def test_choices_among_heads_are_refused(finished, select):
 
 def test_it_proposes_one_action_and_has_no_option_of_its_heads():
     assert Config(algorithm="a3c").heads == 1
-    with pytest.raises(
-        ValueError, match="heads is an option of mapg, td3, sac, naf, ppo and trpo, not of a3c"
-    ):
+    with pytest.raises(ValueError, match=r"heads is an option of mapg, .* and .*, not of a3c"):
         Config(algorithm="a3c", heads=1)

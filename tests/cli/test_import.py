@@ -74,7 +74,7 @@ def test_a_run_of_ones_own(mapg, tmp_path):
     done = mapg("report", "run")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("mapg: ") and done.stderr.count("\n") == 1
-    assert "algorithm must be one of mapg, a3c, td3, sac, naf, ppo, trpo, got 'mine'" in done.stderr
+    assert "algorithm must be one of mapg, " in done.stderr and ", got 'mine'" in done.stderr
     done = mapg("report", "run", "--import=own")
     assert done.returncode == 0, done.stderr
     assert "mine, M = 3" in done.stdout
@@ -89,6 +89,6 @@ def test_workers_of_a_sweep_import_it_too(mapg, tmp_path):
     assert not (tmp_path / "swept" / "own.py").exists()
     done = mapg("resume", "swept")
     assert done.returncode == 2
-    assert "algorithm must be one of mapg, a3c, td3, sac, naf, ppo, trpo, got 'mine'" in done.stderr
+    assert "algorithm must be one of mapg, " in done.stderr and ", got 'mine'" in done.stderr
     done = mapg("resume", "swept", "--import", "own")
     assert done.returncode == 0, done.stderr

@@ -55,7 +55,7 @@ def test_an_option_goes_to_the_algorithms_that_have_it():
 
 
 def test_an_option_that_no_algorithm_has_is_refused():
-    with pytest.raises(ValueError, match="tau is an option of mapg, td3, sac and naf, not of a3c"):
+    with pytest.raises(ValueError, match=r"tau is an option of mapg, .* and .*, not of a3c"):
         expand(algorithm=("a3c",), tau=(0.1,))
     with pytest.raises(
         ValueError, match="rollout_steps is an option of a3c, ppo and trpo, not of mapg"
