@@ -9,7 +9,7 @@ import typing
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from envs.values import fits
+from envs.values import fits, fitted
 
 if TYPE_CHECKING:  # at run time each is imported where an environment is made: see `envs`
     from envs.base import Env
@@ -142,7 +142,7 @@ def make(name: str, /, engine: str = "auto", **options: Any) -> "Env":
     """
     found = spec(name)
     constructor = found.load()
-    _check_options(name, inspect.signature(constructor, eval_str=True).parameters, options)
+    options = _checked(name, inspect.signature(constructor, eval_str=True).parameters, options)
     if engine == "auto":
         engine = _default_engine(found)
     if engine not in found.engines:
@@ -157,11 +157,13 @@ def _default_engine(spec: EnvSpec) -> str:
     return default if default in spec.engines else spec.engines[0]
 
 
-def _check_options(
+def _checked(
     name: str, parameters: Mapping[str, inspect.Parameter], options: Mapping[str, Any]
-) -> None:
+) -> dict[str, Any]:
+    """The options, as the constructor's annotations have them; others are refused."""
     if name.startswith((GYMNASIUM, PLAYGROUND)):  # whose constructors say what they take
-        return
+        return dict(options)
+    checked = {}
     known = {k: p for k, p in parameters.items() if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)}
     for option, value in options.items():
         if option not in known:
@@ -169,11 +171,14 @@ def _check_options(
                 f"{name} has no option {option!r}; it has {', '.join(known) or 'none'}"
             )
         hint = known[option].annotation
-        if hint is not inspect.Parameter.empty and not fits(value, hint):
+        hint = Any if hint is inspect.Parameter.empty else hint
+        checked[option] = fitted(value, hint)
+        if not fits(checked[option], hint):
             raise ValueError(f"{name}'s option {option} must be {_text(hint)}, got {value!r}")
     missing = [k for k, p in known.items() if p.default is p.empty and k not in options]
     if missing:
         raise ValueError(f"{name} needs the option {missing[0]!r}")
+    return checked
 
 
 def _text(hint: Any) -> str:

@@ -56,20 +56,37 @@ def _flags(file: str, several: bool) -> list[str]:
         raise ValueError(f"--config {file} cannot be read: {reason}") from None
     if not isinstance(values, Mapping):
         raise ValueError(f"--config {file} must hold flags and values, as in steps: 100000")
+    if "config" in values:
+        raise ValueError(
+            f"--config {file} names another file, which no file can; give both: --config {file} "
+            f"--config {_text(values['config'])}"
+        )
     return [part for name, value in values.items() for part in _flag(str(name), value, several)]
 
 
 def _flag(name: str, value: Any, several: bool) -> list[str]:
     name = name.replace("_", "-")
     a_field = bool(owners_of(name.replace("-", "_")))
+    if value is None and not a_field:  # as if the line were not there
+        return []
     if isinstance(value, bool) and not (several and a_field):
         return [f"--{name}"] if value else [f"--no-{name}"] if a_field else []
-    if isinstance(value, Mapping):  # of an environment's options
-        return [f"--{name}", *(f"{key}={_text(item)}" for key, item in value.items())]
+    if isinstance(value, Mapping) and not (several and a_field):
+        return [f"--{name}", *_named(value)]
     if isinstance(value, list):
         return [f"--{name}", *map(_text, value)]
     return [f"--{name}={_text(value)}"]
 
 
+def _named(values: Mapping) -> list[str]:
+    """Options of an environment, say."""
+    return [f"{name}={_text(value)}" for name, value in values.items()]
+
+
 def _text(value: Any) -> str:
+    """A value as the command line has it."""
+    if isinstance(value, Mapping):
+        return ",".join(_named(value))
+    if isinstance(value, list):
+        return f"[{','.join(map(_text, value))}]"
     return "none" if value is None else str(value)

@@ -8,6 +8,7 @@ import typing
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, NoReturn
 
+from envs.values import items
 from mapg_jax.cli import completion
 from mapg_jax.cli.console import complain
 from mapg_jax.training import plugins
@@ -107,7 +108,7 @@ def _one(hint: Any) -> Callable[[str], Any]:
         (kind,) = kinds
         return lambda text: _word_or(text, words, kind)
     if origin is tuple:
-        return lambda text: tuple(map(_one(arguments[0]), _items(text)))
+        return lambda text: tuple(map(_one(arguments[0]), items(text)))
     if origin is Literal:
         return lambda text: _member(text, arguments)
     if hint is bool:
@@ -135,18 +136,6 @@ def _word_or(text: str, words: dict[str, Any], kind: Any) -> Any:
     except argparse.ArgumentTypeError as error:
         wrong, _, got = str(error).partition(", got ")
         raise argparse.ArgumentTypeError(f"{wrong} or {' or '.join(words)}, got {got}") from None
-
-
-def _items(text: str) -> list[str]:
-    """Split at commas; those within brackets belong to an item."""
-    items, depth = [""], 0
-    for letter in text:
-        depth += (letter in "([") - (letter in ")]")
-        if letter == "," and not depth:
-            items.append("")
-        else:
-            items[-1] += letter
-    return [item for item in items if item]
 
 
 def _member(text: str, choices: tuple[str, ...]) -> str:

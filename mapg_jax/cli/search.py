@@ -9,6 +9,7 @@ import typing
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TextIO
 
+from envs.values import items
 from mapg_jax.cli import config_file, fields
 from mapg_jax.cli.console import complain, refuse_politely
 from mapg_jax.cli.main import parser
@@ -117,7 +118,7 @@ def _dimension(config: Config, text: str) -> "tuple[str, Dimension]":
     low, dots, high = ends.partition("..")
     try:
         if not dots:
-            return name, Dimension(tuple(value_of(hint, item) for item in values.split(",")))
+            return name, Dimension(tuple(value_of(hint, item) for item in items(values)))
         if colon and scale != "log":
             raise ValueError(f"{scale} is no scale; leave it out, or write log:{ends}")
         dimension = Dimension((), value_of(hint, low), value_of(hint, high), bool(colon))

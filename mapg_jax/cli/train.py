@@ -97,6 +97,7 @@ def run(arguments: argparse.Namespace, out: TextIO) -> None:
     given = fields.given(arguments)
     if arguments.print_config:
         config = refuse_politely(lambda: preset(arguments.preset, **given))
+        refuse_politely(config.make_env)  # which knows its options
         print(config_file.dump(config), end="", file=out)
         return
     refuse_politely(lambda: trackers.refuse_missing(arguments.track))

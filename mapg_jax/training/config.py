@@ -1,12 +1,12 @@
 """Every number of a run, with its meaning; and the presets."""
 
-import ast
 import dataclasses
 import functools
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 import envs
+from envs import values
 from mapg_jax.algorithms import registry
 from mapg_jax.algorithms.base import Experience
 from mapg_jax.algorithms.options import Options, option
@@ -25,7 +25,9 @@ class Config(Options):
         "Environment: a name of `mapg envs`, brax:NAME, gym:NAME or playground:NAME.",
         known=envs.names,
     )
-    env_options: tuple[str, ...] = option((), "Options of the environment, as name=value.")
+    env_options: tuple[str, ...] = option(
+        (), "Options of the environment, as name=value; several values as name=[a,b]."
+    )
     engine: str = option(
         "auto",
         "Physics engine: native (MuJoCo's C engine), mjx, jax (tasks in pure JAX), or auto.",
@@ -134,13 +136,13 @@ class Config(Options):
         for text in self.env_options:
             name, equals, value = text.partition("=")
             if not name or not equals:
-                raise ValueError(f"env_options are written name=value, got {text!r}")
+                raise ValueError(
+                    f"env_options are written name=value, or name=[a,b] for several values, "
+                    f"got {text!r}"
+                )
             if name == "engine":
                 raise ValueError("the engine is no option of an environment; choose it by --engine")
-            try:
-                options[name] = ast.literal_eval(value)
-            except (ValueError, SyntaxError, MemoryError, RecursionError):
-                options[name] = value
+            options[name] = values.read(value)
         return options
 
     def make_env(self, engine: str | None = None) -> envs.Env:

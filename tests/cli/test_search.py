@@ -85,6 +85,13 @@ def test_a_search_goes_on_with_what_it_had(fake, mapg, tmp_path):
     assert mapg("resume", "here", "--steps", "9")[0] == 2
 
 
+def test_values_that_are_lists_stand_in_brackets():
+    config = preset("smoke")
+    for text in ("hidden=[8,8],[4,4]", "hidden=[[8,8],[4,4]]"):
+        name, dimension = search._dimension(config, text)
+        assert (name, dimension.choices) == ("hidden", ((8, 8), (4, 4)))
+
+
 @pytest.mark.parametrize(
     ("space", "message"),
     [

@@ -1,10 +1,67 @@
-"""Plain values against annotations: what may be given to an option."""
+"""Plain values: what a text says, and what may be given to an option."""
 
+import math
 from typing import Literal
 
 import pytest
 
-from envs.values import fits
+from envs.values import fits, fitted, items, read
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("9.81", 9.81),
+        ("aux_1", "aux_1"),
+        ("(0.1, 2)", (0.1, 2)),
+        ("[20,50]", [20, 50]),
+        ("[town, eight]", ["town", "eight"]),
+        ("[0.7,inf]", [0.7, math.inf]),
+        ("[town,none]", ["town", None]),
+        ("[a],[b]", "[a],[b]"),
+        ("[]", []),
+        ("none", None),
+        ("null", None),
+        ("None", None),
+        ("true", True),
+        ("'none'", "none"),
+        ("{'a': [1, 2]}", {"a": [1, 2]}),
+        ("[" * 100_000, "[" * 100_000),
+    ],
+)
+def test_read(text, expected):
+    assert read(text) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("64,64", ["64", "64"]),
+        ("[64, 64]", ["64", "64"]),
+        ("[64,64],[32,32]", ["[64,64]", "[32,32]"]),
+        ("a=(1,2),b={'c': 1, 'd': 2}", ["a=(1,2)", "b={'c': 1, 'd': 2}"]),
+        ("", []),
+    ],
+)
+def test_items(text, expected):
+    assert items(text) == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "hint", "expected"),
+    [
+        (20, tuple[float, ...], (20,)),
+        ([20, 50], tuple[float, ...], (20, 50)),
+        ([1, 2], tuple[float, float] | None, (1, 2)),
+        (None, tuple[float, float] | None, None),
+        (1, tuple[float, float], 1),
+        ("a", tuple[float, ...], "a"),
+        (20, float, 20),
+        ([1], object, [1]),
+    ],
+)
+def test_fitted(value, hint, expected):
+    assert fitted(value, hint) == expected
 
 
 @pytest.mark.parametrize(

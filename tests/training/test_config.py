@@ -58,7 +58,7 @@ from mapg_jax.training.config import (
         ({"evaluate_every": 0}, "evaluate_every must be at least 1, got 0"),
         ({"checkpoint_seconds": 0.0}, "checkpoint_seconds must be above 0, got 0.0"),
         ({"checkpoints_kept": 0}, "checkpoints_kept must be at least 1, got 0"),
-        ({"env_options": ("g",)}, "env_options are written name=value, got 'g'"),
+        ({"env_options": ("g",)}, "env_options are written name=value, or .*, got 'g'"),
     ],
 )
 def test_nonsense_is_refused_with_the_numbers(changes, message):
