@@ -5,7 +5,7 @@ import contextlib
 import importlib
 import os
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 ASKED = "_ARGCOMPLETE"
 """In the environment where a shell asks, with its line and the place of its cursor."""
@@ -31,6 +31,11 @@ def complete(commands: Mapping[str, str]) -> None:
         with contextlib.suppress(SystemExit, ValueError):  # half a line may be refused
             command.parse(shlex.split(before.rpartition(" ")[0])[2:])
         command.parse([])
+
+
+def propose(action: argparse.Action, values: Callable[[], Iterable[str]]) -> None:
+    """Values that can stand behind a flag; without any a shell names files."""
+    vars(action)["completer"] = lambda **_: values()
 
 
 def answer(parser: argparse.ArgumentParser) -> None:

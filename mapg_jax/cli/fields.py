@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from mapg_jax.algorithms import registry
+from mapg_jax.cli import completion
 from mapg_jax.cli.parser import Parser, add_fields
 from mapg_jax.training import plugins
 from mapg_jax.training.config import PRESETS, Config, config_type, fields, owners_of, preset
@@ -28,6 +29,16 @@ def settle(flags: list[str]) -> tuple[str, list[str]]:
     for name in known.algorithm:
         registry.find(name)
     return known.preset, known.algorithm or ["mapg"]
+
+
+def add_preset(parser: Parser) -> None:
+    """The flag that says where the defaults come from."""
+    action = parser.add_argument(
+        "--preset",
+        default="paper",
+        help=f"Where the defaults come from: {', '.join(PRESETS)}.",
+    )
+    completion.propose(action, lambda: PRESETS)
 
 
 def add(parser: Parser, name: str, algorithms: Sequence[str], several: bool) -> None:

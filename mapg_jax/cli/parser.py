@@ -3,6 +3,7 @@
 import argparse
 import dataclasses
 import difflib
+import functools
 import types
 import typing
 from collections.abc import Callable, Mapping
@@ -74,8 +75,8 @@ def add_fields(
         else:
             options |= {"type": _one(hint), "metavar": _metavar(hint)}
         action = parser.add_argument(f"--{name.replace('_', '-')}", **options)
-        known = field.metadata.get("known") or (lambda hint=hint: _choices(hint))
-        vars(action)["completer"] = lambda known=known, **_: known()
+        known = field.metadata.get("known") or functools.partial(_choices, hint)
+        completion.propose(action, known)
 
 
 def _choices(hint: Any) -> tuple[str, ...]:

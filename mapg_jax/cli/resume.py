@@ -8,7 +8,7 @@ from typing import TextIO
 from mapg_jax.cli import search, sweep
 from mapg_jax.cli.console import complain, refuse_politely
 from mapg_jax.cli.main import parser
-from mapg_jax.cli.train import add_devices, join_hosts, take_to_the_end
+from mapg_jax.cli.train import add_devices, add_track, join_hosts, take_to_the_end
 from mapg_jax.runs import trackers
 from mapg_jax.runs.train import take_up
 from mapg_jax.sweeps.folder import SweepFolder
@@ -23,7 +23,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
         type=int,
         help="A new total of environment steps, to train a finished run further.",
     )
-    command.add_argument("--track", nargs="+", default=(), help="Trackers, as of mapg train.")
+    add_track(command)
     add_devices(command)
     return command.parse(flags)
 
@@ -55,6 +55,6 @@ def run(arguments: argparse.Namespace, out: TextIO) -> None:
 
 
 def _refuse_flags_of_runs(arguments: argparse.Namespace, what: str) -> None:
-    of_runs = ("steps", "devices", "coordinator", "hosts", "host")
-    for name in (name for name in of_runs if getattr(arguments, name) is not None):
+    of_runs = ("steps", "track", "devices", "coordinator", "hosts", "host")
+    for name in (name for name in of_runs if getattr(arguments, name) not in (None, ())):
         sys.exit(complain(f"{arguments.path} is a {what}; --{name} is for a run of it", 2))

@@ -48,7 +48,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
     command.add_argument(
         "--launcher-options", nargs="*", default=(), metavar="NAME=VALUE", help="As of sweep."
     )
-    command.add_argument("--preset", default="paper", help="Where the defaults come from.")
+    fields.add_preset(command)
     config_file.add_argument(command)
     fields.add(command, name, [algorithm], several=False)
     fields.refuse_foreign_flags(command, flags, [algorithm])

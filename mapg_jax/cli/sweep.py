@@ -77,7 +77,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
         default=True,
         help="With --dry-run: time each program for a few seconds to predict the time.",
     )
-    command.add_argument("--preset", default="paper", help="Where the defaults come from.")
+    fields.add_preset(command)
     config_file.add_argument(command)
     fields.add(command, name, algorithms, several=True)
     fields.refuse_foreign_flags(command, flags, algorithms)

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from typing import TextIO
 
-from mapg_jax.cli import config_file, fields
+from mapg_jax.cli import completion, config_file, fields
 from mapg_jax.cli.console import complain, refuse_politely
 from mapg_jax.cli.main import parser
 from mapg_jax.cli.score import print_score
@@ -18,7 +18,7 @@ from mapg_jax.runs.run import Run
 from mapg_jax.runs.signals import caught_signals
 from mapg_jax.runs.train import begin
 from mapg_jax.runs.video import film
-from mapg_jax.training.config import PRESETS, preset
+from mapg_jax.training.config import preset
 
 LOG = logging.getLogger(__name__)
 EXAMPLE = (
@@ -31,11 +31,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
     flags = config_file.expand(flags)
     name, (algorithm, *_) = fields.settle(flags)
     command = parser("train", EXAMPLE)
-    command.add_argument(
-        "--preset",
-        default="paper",
-        help=f"Where the defaults come from: {', '.join(PRESETS)}.",
-    )
+    fields.add_preset(command)
     command.add_argument(
         "--out",
         type=pathlib.Path,
@@ -46,18 +42,24 @@ def parse(flags: list[str]) -> argparse.Namespace:
         action="store_true",
         help="Print the configuration as YAML, which --config reads, and train nothing.",
     )
-    command.add_argument(
+    add_track(command)
+    config_file.add_argument(command)
+    add_devices(command)
+    fields.add(command, name, [algorithm], several=False)
+    fields.refuse_foreign_flags(command, flags, [algorithm])
+    return command.parse(flags)
+
+
+def add_track(command: argparse.ArgumentParser) -> None:
+    """The flag that names trackers."""
+    action = command.add_argument(
         "--track",
         nargs="+",
         default=(),
         metavar="|".join(trackers.NAMES),
         help="Trackers that are told of every evaluation; TensorBoard always is.",
     )
-    config_file.add_argument(command)
-    add_devices(command)
-    fields.add(command, name, [algorithm], several=False)
-    fields.refuse_foreign_flags(command, flags, [algorithm])
-    return command.parse(flags)
+    completion.propose(action, lambda: trackers.NAMES)
 
 
 def add_devices(command: argparse.ArgumentParser) -> None:

@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from mapg_jax.cli.main import COMMANDS
+from mapg_jax.runs import trackers
 
 
 @pytest.fixture
@@ -42,3 +43,5 @@ def test_values_that_are_known(completions):
     assert completions("mapg train --env multi_") == ["multi_goal"]
     assert set(completions("mapg train --truncation ")) == {"bootstrap", "terminal"}
     assert completions("mapg train --algorithm tr") == ["trpo"]
+    assert completions("mapg sweep --preset s") == ["smoke"]
+    assert set(completions("mapg resume --track ")) == set(trackers.NAMES)

@@ -200,7 +200,9 @@ def test_a_dry_run_predicts_the_time(mapg, contents, monkeypatch):
     assert not contents()
 
 
-def test_a_sweep_takes_no_steps_when_it_is_resumed(mapg, tmp_path):
+def test_a_sweep_takes_no_flags_of_its_runs_when_it_is_resumed(mapg, tmp_path):
     SweepFolder(tmp_path / "s", "smoke", {"seed": (0, 1)}).create()
     status, out, err = mapg("resume", "s", "--steps", 5)
     assert (status, out, err) == (2, "", "mapg: s is a sweep; --steps is for a run of it\n")
+    status, out, err = mapg("resume", "s", "--track", "wandb")
+    assert (status, out, err) == (2, "", "mapg: s is a sweep; --track is for a run of it\n")
