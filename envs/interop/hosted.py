@@ -15,12 +15,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from envs import registry
 from envs.base import Action, Env, State
 from envs.engines.host_call import host_call
+from envs.interop.gymnasium_ids import gymnasium_id
 
 TIME_LIMIT = 1000
 """Steps of an episode where Gymnasium's registry names none."""
-RUN_JAX = ("mapg/", "phys2d/", "tabular/")
+FLATTEN = (
+    "; register the environment with gymnasium's FlattenObservation, or another wrapper, round it"
+)
+RUN_JAX = ("phys2d/", "tabular/")
 """Beginnings of ids whose environments run JAX, which inside of a call from JAX can hang."""
 
 
@@ -30,8 +35,9 @@ def time_limit(name: str) -> int:
     Raises:
       ValueError: if there is none, or its environment runs JAX.
     """
-    if name.startswith("mapg/"):
-        raise ValueError(f"gym:{name} is one of ours: choose it by its own name of `mapg envs`")
+    ours = {gymnasium_id(spec): spec.name for spec in registry.loaded()}
+    if name in ours:
+        raise ValueError(f"gym:{name} is one of ours: choose it by its own name, {ours[name]}")
     if name.startswith(RUN_JAX):
         raise ValueError(f"gym:{name} runs JAX, which cannot be called from a jitted program")
     try:
@@ -70,7 +76,7 @@ class HostedEnv(Env):
         one = self._host.spare()
         high = _most(name, one.action_space)
         self.action_high = high
-        self.observation_bounds = _box(name, "observations", one.observation_space)
+        self.observation_bounds = _box(name, "observations", one.observation_space, FLATTEN)
         self._observation = jax.ShapeDtypeStruct(self.observation_bounds[0].shape, jnp.float32)
 
     def limited(self, time_limit: int) -> Env:
@@ -171,12 +177,13 @@ def _made(name: str, limit: int, options: dict[str, Any]) -> gymnasium.Env:
     return gymnasium.wrappers.TimeLimit(env, limit)
 
 
-def _box(name: str, what: str, space: gymnasium.Space) -> tuple[np.ndarray, np.ndarray]:
+def _box(
+    name: str, what: str, space: gymnasium.Space, remedy: str = ""
+) -> tuple[np.ndarray, np.ndarray]:
     """The bounds of a flat box."""
     if not isinstance(space, gymnasium.spaces.Box) or len(space.shape) != 1:
         raise ValueError(
-            f"gym:{name} has {what} in {space}, and only flat boxes of numbers are taken; register "
-            "the environment with gymnasium's FlattenObservation, or another wrapper, round it"
+            f"gym:{name} has {what} in {space}, and only flat boxes of numbers are taken{remedy}"
         )
     return space.low.astype(np.float32), space.high.astype(np.float32)
 

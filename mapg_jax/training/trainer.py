@@ -164,9 +164,10 @@ def make_trainer(config: Config, devices: int | None = 1) -> Trainer:
     if devices is None:
         devices = 1 if on_one else most_devices(config.shards)
     if on_one and devices > 1:
+        other = ", or --engine mjx" if "mjx" in envs.spec(config.env).engines else ""
         raise ValueError(
             f"{config.env} is stepped on the host ({env.backend}) and runs on one device; choose "
-            "--devices 1, or --engine mjx where there is one"
+            f"--devices 1{other}"
         )
     agent = make_agent(config, env.action_size)
     return Trainer(config, env, agent, Layout(config.shards, devices))

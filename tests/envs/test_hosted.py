@@ -106,10 +106,13 @@ def test_a_run_goes_on_with_new_episodes(tmp_path, caplog):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("gym:mapg/Hopper-v5", "is one of ours: choose it by its own name"),
+        ("gym:mapg/Hopper-v5", "is one of ours: choose it by its own name, hopper"),
         ("gym:phys2d/Pendulum-v0", "runs JAX, which cannot be called"),
         ("gym:Nowhere-v0", "Gymnasium has no environment 'Nowhere-v0'"),
-        ("gym:CartPole-v1", r"has actions in Discrete\(2\), and only flat boxes"),
+        (
+            "gym:CartPole-v1",
+            r"has actions in Discrete\(2\), and only flat boxes of numbers are taken$",
+        ),
         ("gym:Counter-v0 low=0.0", "bounds must be finite and alike on both sides of 0"),
         ("gym:Pendulum-v1 gravity=3", "gym:Pendulum-v1 cannot be made: .*gravity"),
     ],

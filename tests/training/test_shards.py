@@ -93,6 +93,15 @@ def test_devices_divide_the_shards_and_are_there():
 
 
 @pytest.mark.parametrize(
+    ("env", "remedy"), [("gym:Pendulum-v1", "1$"), ("hopper", "1, or --engine mjx$")]
+)
+def test_what_the_host_steps_is_on_one_device(env, remedy):
+    config = Config(env=env, engine="auto", shards=2)
+    with pytest.raises(ValueError, match=f"runs on one device; choose --devices {remedy}"):
+        make_trainer(config, devices=2)
+
+
+@pytest.mark.parametrize(
     ("name", "devices"),
     [("mapg", [8]), *(pytest.param(name, [4, 8], marks=pytest.mark.slow) for name in RUNS)],
 )
