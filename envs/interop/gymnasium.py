@@ -1,11 +1,13 @@
 """Our environments as Gymnasium has them: one, or many that one jitted call steps."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
+from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
@@ -30,13 +32,16 @@ class SingleEnv(gymnasium.Env):
 
     def __init__(self, name: str, render_mode: str | None = None, **options: Any):
         self._env = registry.make(name, **options)
+        modes = [] if type(self._env).painter is Env.painter else ["rgb_array"]
+        self.metadata = {**self.metadata, "render_modes": modes}
+        if (dt := getattr(self._env, "dt", None)) is not None:
+            self.metadata["render_fps"] = round(1 / dt)
         self.render_mode, self._paint = render_mode, None
         if render_mode is not None:
-            if render_mode != "rgb_array" or type(self._env).painter is Env.painter:
-                _refuse_to_render(name, render_mode)
+            if render_mode not in modes:
+                known = ", ".join(modes) or "none"
+                raise ValueError(f"{name} has no render_mode {render_mode!r}; it has {known}")
             self._paint = self._env.painter(PICTURE, PICTURE)
-        if (dt := getattr(self._env, "dt", None)) is not None:
-            self.metadata = {**self.metadata, "render_fps": round(1 / dt)}
         self.observation_space, self.action_space = spaces(self._env)
         self._reset, self._step = jax.jit(self._env.reset), jax.jit(self._env.step)
         self._state: Any = None  # before the first reset
@@ -89,7 +94,11 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         render_mode: str | None = None,
         **options: Any,
     ):
-        _refuse_to_render(name, render_mode)
+        if render_mode is not None:
+            raise ValueError(
+                f"the vector environment of {name} has no render_mode {render_mode!r}; one by "
+                "gymnasium.make draws itself, as rgb_array"
+            )
         self.num_envs = num_envs
         env = registry.make(name, **options)
         self._env = with_episodes(env, max_episode_steps)
@@ -100,9 +109,25 @@ class VectorEnv(gymnasium.vector.VectorEnv):
         self._step = jax.jit(jax.vmap(self._env.step), donate_argnums=0)
         self._state: Any = None  # before the first reset
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        super().reset(seed=seed)
-        keys = jax.random.split(_next_key(self.np_random), self.num_envs)
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ):
+        """Begins N episodes.
+
+        Args:
+          seed: of all starts, or a list of one for each instance.
+          options: none are known.
+        """
+        if isinstance(seed, Sequence):
+            if len(seed) != self.num_envs:
+                raise ValueError(f"{self.num_envs} instances take as many seeds, got {len(seed)}")
+            keys = jnp.stack([_next_key(np_random(one)[0]) for one in seed])
+        else:
+            super().reset(seed=seed)
+            keys = jax.random.split(_next_key(self.np_random), self.num_envs)
         self._state = self._reset(keys)
         return _observation(self._state), {}
 
@@ -149,10 +174,3 @@ def _observation(state: State) -> np.ndarray:
 
 def _next_key(random: np.random.Generator) -> jax.Array:
     return jax.random.key(int(random.integers(LARGEST_SEED)))
-
-
-def _refuse_to_render(name: str, mode: str | None) -> None:
-    if mode is not None:
-        raise ValueError(
-            f"{name} has no render_mode {mode!r}; `mapg draw RUN` draws episodes of a run"
-        )
