@@ -65,10 +65,12 @@ class MujocoTask:
     @functools.cached_property
     def model(self) -> mujoco.MjModel:
         path = pathlib.Path(self.xml_file).expanduser()
-        if not (path.is_absolute() or self.xml_file.startswith(".")):
+        relative = self.xml_file.startswith(".")
+        if not (path.is_absolute() or relative):
             path = ASSETS / path
         if not path.is_file():
-            raise ValueError(f"there is no model file {path}")
+            where = "; relative paths begin at the working folder, so give an absolute one"
+            raise ValueError(f"there is no model file {path.absolute()}{where if relative else ''}")
         with warnings.catch_warnings():
             # HalfCheetah's file has it; nobody who runs the task can do anything about it.
             warnings.filterwarnings("ignore", "compiler attribute 'settotalmass' is deprecated")

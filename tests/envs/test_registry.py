@@ -129,7 +129,8 @@ def test_auto_takes_the_engine_of_the_device(device, engine, monkeypatch):
         ("point_maze", {"maze": "v9"}, r"unknown maze 'v9'; known are v1, v2$"),
         ("multi_goal", {"goals": "five"}, r"goals must be 'four' or 'three', got 'five'"),
         ("multi_goal", {"reward_scale": 0}, r"reward_scale must be above 0 and finite, got 0"),
-        ("swimmer", {"xml_file": "squid.xml"}, r"there is no model file .*squid.xml"),
+        ("swimmer", {"xml_file": "squid.xml"}, r"there is no model file /.*squid.xml$"),
+        ("swimmer", {"xml_file": "./squid.xml"}, r"/.*squid.xml; relative paths begin at the work"),
         ("brax:hoper", {}, r"Brax has no environment 'hoper'; it has ant, .*walker2d"),
         (
             "brax:ant",
