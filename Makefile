@@ -37,7 +37,7 @@ test-playground: .venv/ready  ## MuJoCo Playground's environments
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,playground]'
 	$(PYTEST) -m playground
 
-test-browser: .venv/ready  ## pages in a browser: Debian's chromium and chromium-driver
+test-browser: .venv/ready docs  ## pages in a browser: Debian's chromium and chromium-driver
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,browser]'
 	$(PYTEST) -m browser
 
@@ -59,7 +59,7 @@ results: .venv/ready  ## results/README.md and its pictures, from the committed 
 bench: .venv/ready  ## speed, against peers where they are installed
 	$(BIN)/python -m benchmarks
 
-PAGES := README.md CHANGELOG.md CONTRIBUTING.md CODE_OF_CONDUCT.md SECURITY.md LICENSE docs results \
+PAGES := README.md CHANGELOG.md CONTRIBUTING.md CODE_OF_CONDUCT.md SECURITY.md LICENSE CITATION.cff docs results \
 	experiments/protocol.md benchmarks/results.md benchmarks/notes.md $(wildcard benchmarks/*.png) zoo
 
 docs: .venv-docs/ready  ## the site, in .site/html, which opens without a network

@@ -24,7 +24,7 @@ is judged once, when all its runs are there.
 **Limits.** {done} of {wanted} runs are there. Tasks are Gymnasium's v5, not the v1 of 2017; driving
 stands in for TORCS; that scores are equal is never concluded, and power is printed where nothing is
 decided. [Version 1](version_1/README.md) is kept apart. `make results` makes this page from
-[scores.csv](scores.csv) and what else was [measured](measured)."""
+[scores.csv](scores.csv) and what else was measured, in `measured`."""
 
 
 def sections(plan: Plan) -> dict[Name, str]:

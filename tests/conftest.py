@@ -52,3 +52,21 @@ def finished_run(tmp_path_factory):
     run = begin(oracles.RUN, tmp_path_factory.mktemp("runs") / "pendulum")
     run.go()
     return run.folder
+
+
+@pytest.fixture
+def browser():
+    """Debian's Chromium, without a screen; it finds this machine alone, and no name."""
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = "/usr/bin/chromium"
+    for flag in ("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
+                 "--disable-background-networking", "--window-size=1400,1200",
+                 "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"):  # fmt: skip
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    service = webdriver.ChromeService("/usr/bin/chromedriver")
+    driver = webdriver.Chrome(options, service)
+    yield driver
+    driver.quit()

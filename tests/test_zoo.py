@@ -19,6 +19,8 @@ def test_each_has_a_card_with_its_score(name):
     card = (ZOO / name / "README.md").read_text()
     official = json.loads(folder.evaluation.read_text())
     assert f"| return, mean | {official['mean']:,.1f} |" in card
+    row = f"`{folder.config.env}` | {official['mean']:,.1f} | {official['env_steps']:,} |"
+    assert f"| [{name}]({name}/README.md) | {row}" in (ZOO / "README.md").read_text()
     assert official["env_steps"] == folder.scored_steps() and official["episodes"] == 100
     assert sum(file.stat().st_size for file in (ZOO / name).rglob("*")) < 3_000_000
 

@@ -108,23 +108,6 @@ def test_what_it_cannot_do_is_named(root):
         dashboard.server([root], server.server_port)
 
 
-@pytest.fixture
-def browser():
-    """Debian's Chromium, without a screen."""
-    from selenium import webdriver
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = "/usr/bin/chromium"
-    for flag in ("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
-                 "--disable-background-networking", "--window-size=1400,1200"):  # fmt: skip
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    service = webdriver.ChromeService("/usr/bin/chromedriver")
-    driver = webdriver.Chrome(options, service)
-    yield driver
-    driver.quit()
-
-
 @pytest.mark.browser
 @pytest.mark.parametrize("live", [True, False])
 def test_a_browser_draws_filters_and_draws_again(root, browser, live, monkeypatch):
