@@ -1,4 +1,4 @@
-"""Trackers beside metrics.csv and TensorBoard: Weights & Biases, MLflow. None of them stops a run.
+"""Trackers beside metrics.csv and TensorBoard: Weights & Biases, MLflow. None holds a run up.
 
 A tracker is a callback of a run; where it writes is its own business: WANDB_MODE=offline and
 MLFLOW_TRACKING_URI say so, as anywhere.
@@ -9,8 +9,10 @@ import logging
 import math
 import os
 import pathlib
+import queue
 import shlex
 import sys
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any, Protocol
@@ -22,6 +24,8 @@ LOG = logging.getLogger(__name__)
 PROJECT = "mapg-jax"
 NAMES = ("tensorboard", "wandb", "mlflow")
 """TensorBoard's events are always written."""
+PATIENCE = 10.0
+"""Seconds, at most, that the end of a run waits for a tracker."""
 
 
 class Tracker(Protocol):
@@ -60,6 +64,10 @@ class Mlflow:
     """MLflow; without MLFLOW_TRACKING_URI in a database of the run folder."""
 
     def __init__(self, folder: RunFolder, config: Mapping[str, Any]):
+        # By itself it tries for minutes, to reach a server that is not there.
+        os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "2")
+        os.environ.setdefault("MLFLOW_HTTP_REQUEST_TIMEOUT", "5")
+        logging.getLogger("urllib3").setLevel(logging.ERROR)  # the error that ends them says it all
         mlflow = importlib.import_module("mlflow")
         if not os.environ.get("MLFLOW_TRACKING_URI"):
             mlflow.set_tracking_uri(f"sqlite:///{folder.path.absolute() / 'mlflow.db'}")
@@ -118,28 +126,39 @@ def tracking(folder: RunFolder, names: Sequence[str]) -> Iterator[list[Callable[
 
 
 class _Careful:
-    """A tracker that is left out once it fails, with one line."""
+    """A tracker in a thread of its own, so that training never waits for it; it is left out once it
+    fails, with one line."""
 
     def __init__(self, name: str, folder: RunFolder, config: Mapping[str, Any]):
-        self._name, self._folder = name, folder
-        self._tracker: Tracker | None = None
-        self._try(lambda: setattr(self, "_tracker", TRACKERS[name](folder, config)))
+        self._name, self._folder, self._given_up = name, folder, False
+        self._waiting: queue.SimpleQueue[Callable[[Tracker], None] | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._work, args=(config,), daemon=True)
+        self._thread.start()
 
     def __call__(self, event: Event) -> None:
-        if event.kind == "evaluation" and (tracker := self._tracker):
+        if event.kind == "evaluation" and self._thread.is_alive():
             numbers = {k: float(v) for k, v in event.row.items() if math.isfinite(v)}
-            self._try(lambda: tracker.log(numbers, event.env_steps))
+            self._waiting.put(lambda tracker: tracker.log(numbers, event.env_steps))
 
     def close(self) -> None:
-        if tracker := self._tracker:
-            names = ("curve.png", "video.mp4", "video.gif")
-            files = [self._folder.path / name for name in names]
-            self._try(lambda: tracker.close([file for file in files if file.exists()]))
+        names = ("curve.png", "video.mp4", "video.gif")
+        files = [self._folder.path / name for name in names]
+        there = [file for file in files if file.exists()]
+        self._waiting.put(lambda tracker: tracker.close(there))
+        self._waiting.put(None)
+        self._thread.join(PATIENCE)
+        if self._thread.is_alive():
+            self._give_up(f"it has not answered for {PATIENCE:g} s")
 
-    def _try(self, function: Callable[[], object]) -> None:
+    def _work(self, config: Mapping[str, Any]) -> None:
         try:
-            function()
+            tracker = TRACKERS[self._name](self._folder, config)
+            while told := self._waiting.get():
+                told(tracker)
         except Exception as error:  # whatever a tracker does, the run goes on
-            self._tracker = None
-            reason = (str(error).strip() or repr(error)).splitlines()[0]
+            self._give_up((str(error).strip() or repr(error)).splitlines()[0])
+
+    def _give_up(self, reason: str) -> None:
+        if not self._given_up:
+            self._given_up = True
             LOG.warning("%s is told no more of the run: %s", self._name, reason)

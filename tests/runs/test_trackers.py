@@ -2,6 +2,8 @@
 
 import shutil
 import sys
+import threading
+import time
 import types
 
 import pytest
@@ -88,6 +90,19 @@ def test_one_that_fails_stops_nothing(recorder, finished_run, caplog, monkeypatc
     assert said.getMessage() == "wandb is told no more of the run: no network"
 
 
+def test_one_that_does_not_answer_holds_nothing_up(finished_run, caplog, monkeypatch):
+    """Neither the run, which is told nothing of it, nor for long its end."""
+    answer = threading.Event()
+    monkeypatch.setattr(trackers, "TRACKERS", {"mlflow": lambda *_: answer.wait(60)})
+    monkeypatch.setattr(trackers, "PATIENCE", 0.2)
+    began = time.monotonic()
+    told(finished_run, ["mlflow"])
+    assert time.monotonic() - began < 10
+    answer.set()
+    (said,) = caplog.records
+    assert said.getMessage() == "mlflow is told no more of the run: it has not answered for 0.2 s"
+
+
 def test_weights_and_biases_is_called_as_it_asks(finished_run, monkeypatch):
     """Against a module of the same form; `make test-trackers` has the real ones."""
     calls = []
@@ -115,6 +130,16 @@ def test_unknown_and_missing_ones_are_refused(name, message, monkeypatch):
     monkeypatch.setitem(sys.modules, "wandb", None)
     with pytest.raises(ValueError, match=message):
         trackers.refuse_missing([name])
+
+
+@pytest.mark.trackers
+@pytest.mark.filterwarnings("ignore")
+def test_a_server_that_is_not_there_is_named_soon(finished_run, monkeypatch, caplog):
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://127.0.0.1:9")
+    monkeypatch.setattr(trackers, "PATIENCE", 60.0)
+    told(finished_run, ["mlflow"])
+    (said,) = (record for record in caplog.records if record.name.startswith("mapg_jax"))
+    assert "http://127.0.0.1:9" in said.getMessage()
 
 
 @pytest.mark.trackers
