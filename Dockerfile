@@ -1,6 +1,11 @@
 # CPU: docker build -t mapg-jax . && docker run --rm -v "$PWD/runs:/data/runs" mapg-jax train --env hopper --heads 10
 # CUDA: docker build --build-arg EXTRA='jax[cuda13]' … && docker run --gpus all …
-FROM python:3.12-slim
+FROM python:3.12-slim-bookworm
+RUN apt-get update \
+    && apt-get install -y --no-install-recommends libosmesa6 \
+    && rm -rf /var/lib/apt/lists/*
+# MuJoCo's pictures, without a display.
+ENV MUJOCO_GL=osmesa
 ARG EXTRA=""
 WORKDIR /opt/mapg-jax
 COPY pyproject.toml constraints.txt README.md LICENSE ./
