@@ -25,8 +25,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
 def run(arguments: argparse.Namespace, out: TextIO) -> None:
     """Writes the page, or serves it."""
     if arguments.out:
-        content = refuse_politely(lambda: dashboard.page(arguments.paths))
-        arguments.out.write_text(content, encoding="utf-8")
+        refuse_politely(lambda: dashboard.write(arguments.paths, arguments.out))
         print(arguments.out, file=out)
         return
     server = refuse_politely(lambda: dashboard.server(arguments.paths, arguments.port))

@@ -12,6 +12,7 @@ from string import Template
 from typing import Any
 
 from mapg_jax.reports import live_runs
+from mapg_jax.runs.folder import refuse_nowhere
 
 PAGE = pathlib.Path(__file__).with_name("dashboard.html")
 ADDRESS = "127.0.0.1"
@@ -37,6 +38,20 @@ def page(paths: Sequence[str | os.PathLike], live: bool = False) -> str:
     return Template(PAGE.read_text(encoding="utf-8")).substitute(
         plotly=_plotly(), seen=told, seconds=SECONDS if live else 0
     )
+
+
+def write(paths: Sequence[str | os.PathLike], out: pathlib.Path) -> None:
+    """The page as a file.
+
+    Args:
+      paths: as of `page`.
+      out: the file, whose folder must be there.
+
+    Raises:
+      ValueError: as `page`, or if there is no such folder.
+    """
+    refuse_nowhere(out)
+    out.write_text(page(paths), encoding="utf-8")
 
 
 def server(paths: Sequence[str | os.PathLike], port: int) -> http.server.ThreadingHTTPServer:

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from mapg_jax.runs.folder import RunFolder, this_process, values_of
+from mapg_jax.runs.folder import RunFolder, refuse_nowhere, this_process, values_of
 from mapg_jax.runs.policy import Policy, open_policy
 
 Format = Literal["stablehlo", "onnx", "safetensors"]
@@ -38,8 +38,7 @@ def export(path: str | os.PathLike, form: Format, out: pathlib.Path) -> list[pat
     for file in (out, card):
         if file.exists():
             raise ValueError(f"{file} exists already; choose another --out")
-    if not out.parent.is_dir():
-        raise ValueError(f"there is no folder {out.parent} for {out.name}")
+    refuse_nowhere(out)
     try:
         content = WRITERS[form](policy)
     except ImportError as error:

@@ -200,6 +200,14 @@ def is_blank(path: pathlib.Path) -> bool:
     return path.is_dir() and {file.name for file in path.iterdir()} <= {"config.partial"}
 
 
+def refuse_nowhere(file: pathlib.Path) -> None:
+    """Raises ValueError if a file cannot be written for want of a folder, or is one itself."""
+    if not file.parent.is_dir():
+        raise ValueError(f"there is no folder {file.parent} for {file.name}")
+    if file.is_dir():
+        raise ValueError(f"{file} is a folder; name a file in it")
+
+
 def refuse_special_files(path: pathlib.Path) -> None:
     """Raises ValueError if a folder holds anything but folders and files of its own.
 

@@ -102,6 +102,8 @@ def test_it_is_served_to_this_machine_alone(root):
 def test_what_it_cannot_do_is_named(root):
     with pytest.raises(ValueError, match=r"there is no .*none"):
         dashboard.page([root / "none"])
+    with pytest.raises(ValueError, match=r"there is no folder .*none for page\.html"):
+        dashboard.write([root], root / "none" / "page.html")
     with pytest.raises(ValueError, match="port 70000 cannot be had"):
         dashboard.server([root], 70_000)
     with served(root) as server, pytest.raises(ValueError, match="choose another --port"):
