@@ -8,10 +8,19 @@ import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import mujoco
 import numpy as np
 from jaxtyping import UInt8
-from mujoco.rendering.classic import gl_context
+
+try:
+    import mujoco
+    from mujoco.rendering.classic import gl_context
+except Exception as error:  # imported, MuJoCo takes up OpenGL by the way that MUJOCO_GL names
+    if (way := os.environ.get("MUJOCO_GL")) is None:
+        raise
+    raise ValueError(
+        f"MUJOCO_GL={way} cannot be used ({error}): osmesa draws by software (Debian: libosmesa6), "
+        "egl by a GPU, glfw on a display; unset, one that works is chosen"
+    ) from error
 
 Picture = UInt8[np.ndarray, "H W 3"]
 Painter = Callable[[Any], Picture]
@@ -48,7 +57,9 @@ def mujoco_painter(
     camera = mujoco.MjvCamera()
     _follow(camera, model)
     try:
-        renderer = _renderer(model, height, width)
+        with warnings.catch_warnings():  # asked without a display, GLFW warns beside its answer
+            warnings.simplefilter("ignore")
+            renderer = _renderer(model, height, width)
     except Exception as error:  # OpenGL's bindings raise many kinds
         raise ValueError(HELP) from error
 
@@ -73,7 +84,7 @@ def mujoco_viewer(
     """
     import glfw
 
-    with warnings.catch_warnings():  # asked without a display, it warns beside its answer
+    with warnings.catch_warnings():  # as above
         warnings.simplefilter("ignore")
         if not glfw.init():  # MuJoCo would wait for its window for ever
             raise ValueError("--live needs a display; leave it out for a video")

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Float32
 
-from envs.bandits.drawing import draw_line, draw_plane
+from envs.bandits.drawing import draw_line, draw_plane, paint_line, paint_plane
 from envs.base import Action, Env, State
+from envs.frames import Painter
 from envs.recording import Episode, Player
 from envs.scored import reached
 
@@ -83,13 +84,21 @@ class Bandit(Env):
             metrics={**state.metrics, "optimum": self.optimum_at(action)},
         )
 
+    def painter(self, width: int, height: int) -> Painter:
+        """What actions are worth, and the state as a disc: the start, then the action."""
+        if self.action_size == 1:
+            return paint_line(self._payoffs, self.optima, width, height)
+        return paint_plane(self.optima, self.heights, self.widths, width, height)
+
     def render(self, episodes: Sequence[Episode], player: Player, folder: Path) -> list[Path]:
         """Reward, critic's values and proposals over the actions as actions.png."""
         picture = folder / "actions.png"
         draw = draw_line if self.action_size == 1 else draw_plane
-        payoff = jnp.vectorize(self.payoff, signature="(a)->()")
-        draw(self.name, payoff, self.optima, episodes, player, picture)
+        draw(self.name, self._payoffs, self.optima, episodes, player, picture)
         return [picture]
+
+    def _payoffs(self, actions: Float[np.ndarray, "*N A"]) -> Float[np.ndarray, "*N"]:
+        return np.asarray(jnp.vectorize(self.payoff, signature="(a)->()")(actions))
 
 
 class TwoModeBandit(Bandit):

@@ -2,14 +2,17 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Float32
 
+from envs.frames import Canvas, Painter, Picture
 from envs.maps import HEADS, draw_map, grid
 from envs.recording import Episode, Player
 
 ACROSS = 201  # points of an axis
+LEVELS = 12  # of grey, in videos
 FLOOR = 3.0  # below the best action, in rewards: what is worse looks all the same
 
 Reward = Callable[[Float32[np.ndarray, "*N A"]], Float[np.ndarray, "*N"]]
@@ -82,6 +85,53 @@ def draw_plane(
         axes.set(xlim=(-1.03, 1.03), ylim=(-1.03, 1.03))
         axes.legend(loc="lower left")
     figure.savefig(path, dpi=120)
+
+
+def paint_line(
+    reward: Reward, optima: Float[np.ndarray, "K 1"], width: int, height: int
+) -> Painter:
+    """States of one number as a disc on the line of rewards, whose optima are green."""
+    across = np.linspace(-1, 1, ACROSS, dtype=np.float32)
+    worth = np.asarray(reward(across[:, None]))
+    raised = (worth - worth.min()) / np.ptp(worth)
+
+    def at(x: Any) -> tuple[float, float]:
+        return float(x), float(np.interp(x, across, raised))
+
+    def paint(place: Any) -> Picture:
+        canvas = Canvas((-1.1, -0.6), (1.1, 1.6), width, height)
+        canvas.line(np.column_stack([across, raised]), "#777777", 0.02)
+        for optimum in optima[:, 0]:
+            canvas.disc(at(optimum), 0.06, "#7ec29b")
+        canvas.disc(at(place[0]), 0.04, "#b3402a")
+        return canvas.picture()
+
+    return paint
+
+
+def paint_plane(
+    optima: Float[np.ndarray, "K 2"],
+    heights: Float[np.ndarray, "K"],
+    widths: Float[np.ndarray, "K"],
+    width: int,
+    height: int,
+) -> Painter:
+    """States of two numbers as a disc over the rewards; what is worth a level is discs, too."""
+    levels = np.linspace(heights.max() - FLOOR, heights.max(), LEVELS, endpoint=False)
+
+    def paint(place: Any) -> Picture:
+        canvas = Canvas((-1.1, -1.1), (1.1, 1.1), width, height)
+        for grey, level in zip(np.linspace(0xF0, 0x80, LEVELS), levels, strict=True):
+            for optimum, most, sigma in zip(optima, heights, widths, strict=True):
+                if most > level:
+                    radius = sigma * np.sqrt(2 * (most - level))
+                    canvas.disc(optimum, radius, "#" + f"{round(grey):02x}" * 3)
+        for optimum in optima:
+            canvas.disc(optimum, 0.02, "#7ec29b")
+        canvas.disc(np.asarray(place), 0.03, "#b3402a")
+        return canvas.picture()
+
+    return paint
 
 
 def _of(episodes: Sequence[Episode], player: Player) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

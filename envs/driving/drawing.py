@@ -13,6 +13,9 @@ from envs.driving.tracks import Track
 from envs.frames import Canvas, Picture
 
 FRAMES_PER_SECOND = 25.0
+DASH, DASHES_APART = 8.0, 20.0
+"""m, of the line in the middle of a road, without which a car seems to stand still; so far apart
+that none is taken for the one before it from one frame to the next."""
 PLAYER = Path(__file__).with_name("player.html")
 
 
@@ -92,6 +95,14 @@ def _road(track: Track):
     return np.concatenate([_closed(track.left), _closed(track.right)[::-1]])
 
 
+def _dashes(track: Track) -> Float[np.ndarray, "K 2 2"]:
+    """The ends, m, of each dash of the line in the middle, evenly along the whole lap."""
+    first = np.linspace(0.0, track.length, round(track.length / DASHES_APART), endpoint=False)
+    ends = np.stack([first, first + DASH], -1)
+    return np.stack([np.interp(ends, track.s, line, period=track.length)
+                     for line in (track.x, track.y)], -1)  # fmt: skip
+
+
 def _bounds(track: Track):
     edges = np.concatenate([track.left, track.right])
     return edges.min(0), edges.max(0)
@@ -117,6 +128,9 @@ def picture_of_car(
     near = np.linalg.norm((left + right) / 2 - centre, axis=-1) < 2 * half.max()
     for corners in np.stack([left, following[0], following[1], right], 1)[near]:
         canvas.polygon(corners, "#c8c8c8")
+    for dash in _dashes(track):
+        if np.linalg.norm(dash[0] - centre) < 2 * half.max():
+            canvas.line(dash, "white", 0.3)
     canvas.line([left[0], right[0]], "black", 1.0)
     forward = np.array([np.cos(heading), np.sin(heading)])
     aside = np.array([-forward[1], forward[0]])

@@ -6,12 +6,14 @@ from collections.abc import Callable
 from typing import Any, Literal
 
 import jax
+import mujoco
 import numpy as np
 
 with contextlib.redirect_stdout(None):  # importing brax.envs prints what its backends lack
     from brax import envs as brax_envs
 
 from envs.base import Action, State, Wrapper
+from envs.frames import Painter, mujoco_painter
 
 TIME_LIMIT = 1000
 """Steps of an episode in Brax's own training runs."""
@@ -86,6 +88,20 @@ class BraxEnv(Wrapper):
             dict(state.info),
         )
         return _ours(self.env.step(theirs, self.clipped(action)))
+
+    def painter(self, width: int, height: int) -> Painter:
+        """By MuJoCo's renderer, of the model that Brax made its own of."""
+        if not hasattr(self.env, "sys"):  # its smallest ones have none
+            raise ValueError(f"Brax's {type(self.env).__name__} has no bodies, thus no pictures")
+        model = self.env.sys.mj_model
+
+        def data_of(theirs: Any) -> mujoco.MjData:
+            data = mujoco.MjData(model)
+            data.qpos[:], data.qvel[:] = theirs.q, theirs.qd
+            mujoco.mj_forward(model, data)
+            return data
+
+        return mujoco_painter(model, data_of, width, height)
 
 
 def _ours(theirs: brax_envs.State) -> State:

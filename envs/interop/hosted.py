@@ -18,6 +18,7 @@ import numpy as np
 from envs import registry
 from envs.base import Action, Env, State
 from envs.engines.host_call import host_call
+from envs.frames import Painter
 from envs.interop.gymnasium_ids import gymnasium_id
 
 TIME_LIMIT = 1000
@@ -107,6 +108,14 @@ class HostedEnv(Env):
         key: Any = state.pipeline_state
         observation, reward, done = host_call(self._host.step, result, key, control)
         return state.replace(obs=observation, reward=reward, done=done)
+
+    def painter(self, width: int, height: int) -> Painter:
+        """There is none: a state tells which episode it belongs to, and not how far it has come."""
+        raise ValueError(
+            f"gym:{self._name} has no pictures: Gymnasium keeps its states, and draws them as it "
+            "steps; let mapg_jax.load_policy(RUN) act in "
+            f"gymnasium.make({self._name!r}, render_mode='rgb_array')"
+        )
 
 
 class _Host:

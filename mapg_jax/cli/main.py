@@ -51,7 +51,7 @@ def main() -> None:
     except ImportError as error:
         sys.exit(complain(str(error), 2))
     with _ended_by_interrupts():
-        command = importlib.import_module(f"mapg_jax.cli.{name}")
+        command = refuse_politely(lambda: importlib.import_module(f"mapg_jax.cli.{name}"))
         arguments = refuse_politely(lambda: command.parse(flags))
     with own_stdout() as out:
         _run(command, arguments, out)

@@ -16,7 +16,8 @@ def parse(flags: list[str]) -> argparse.Namespace:
     command = parser(
         "watch",
         "Beside the picture stand the M proposals of each state, coloured by head, the action "
-        "taken as a ring, and the critic's value of each proposal.",
+        "taken as a ring, and the critic's value of each proposal, or of the state if it values no "
+        "actions. --out keeps the run folder as it is, one that is shared or in version control.",
     )
     command.add_argument("path", type=pathlib.Path, help="Run folder.")
     command.add_argument(

@@ -10,7 +10,7 @@ import numpy as np
 
 import envs
 from mapg_jax.runs.episode import player, record
-from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.folder import RunFolder, refuse_nowhere
 from mapg_jax.runs.policy import open_policy
 
 SIZE = 480
@@ -43,11 +43,12 @@ def film(
       select: how one action is made of the M proposals.
 
     Raises:
-      ValueError: if the file's ending is another, a package or a renderer is missing, or the
-        environment has no pictures.
+      ValueError: if the file's ending is another, its folder, a package or a renderer is missing,
+        or the environment has no pictures.
     """
     out = out or folder.path / ("video.mp4" if _has_mp4() else "video.gif")
     write = _writer(out)
+    refuse_nowhere(out)
     if steps < 1 or episodes < 1:
         raise ValueError(f"steps and episodes must be at least 1, got {steps} and {episodes}")
     policy = open_policy(folder, seed, select)
@@ -68,16 +69,30 @@ def film(
 def _frames(
     episode: envs.Episode, paint: envs.Painter, asked: envs.Player, stride: int
 ) -> Iterator[np.ndarray]:
-    """Every `stride`-th state of an episode beside what was proposed there."""
-    proposals, values = asked.proposals(episode.observations[:-1])
-    for t in range(0, len(episode.actions), stride):
+    """Every `stride`-th state of an episode beside what was proposed there, and its last one
+    beside what led to it."""
+    observations = episode.observations[:-1]
+    proposals, values = asked.proposals(observations)
+    told_apart = _tells_actions_apart(asked, observations, proposals.shape[-1])
+    last = len(episode.actions)
+    for t in (*range(0, last, stride), last):
         state = jax.tree.map(lambda leaf, t=t: np.asarray(leaf)[t], episode.states)
-        side = panel(proposals[t], values[t], episode.actions[t])
+        k = min(t, last - 1)
+        side = panel(proposals[k], values[k], episode.actions[k], told_apart)
         yield np.concatenate([paint(state), side], 1)
 
 
-def panel(proposals: np.ndarray, values: np.ndarray, action: np.ndarray) -> np.ndarray:
-    """M proposals [M, A] as marks on a line for each dimension, and their values [M] as bars.
+def _tells_actions_apart(asked: envs.Player, observations: np.ndarray, size: int) -> bool:
+    """Whether the critic values actions, and not states alone."""
+    three = np.broadcast_to(np.linspace(-1, 1, 3)[:, None], (len(observations), 3, size))
+    return bool(np.ptp(asked.q_values(observations, three), axis=-1).any())
+
+
+def panel(
+    proposals: np.ndarray, values: np.ndarray, action: np.ndarray, told_apart: bool = True
+) -> np.ndarray:
+    """M proposals [M, A] as marks on a line for each dimension, and their values [M] as bars, if
+    the critic tells actions apart; else the one value of the state.
 
     The action [A] that was taken is a black ring.
     """
@@ -102,6 +117,9 @@ def panel(proposals: np.ndarray, values: np.ndarray, action: np.ndarray) -> np.n
         x = across(action[d])
         draw.ellipse((x - 5, y - 5, x + 5, y + 5), outline="black", width=2)
     top = int(38 + gap * dimensions + 16)
+    if not told_apart:
+        draw.text((left, top), f"the state's value V, {values.max():.5g}", "black")
+        return np.asarray(image)
     draw.text((left, top), f"their values Q, {values.min():.5g} to {values.max():.5g}", "black")
     spread = max(float(values.max() - values.min()), 1e-9)
     height = min(18.0, (SIZE - top - 34) / heads)
