@@ -6,13 +6,15 @@ import os
 import pathlib
 import signal
 import sys
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
 from mapg_jax import foreign
 from mapg_jax.cli import completion
 from mapg_jax.cli.console import complain, own_stdout, refuse_politely
-from mapg_jax.cli.parser import Parser
 from mapg_jax.training import plugins
+
+if TYPE_CHECKING:
+    from mapg_jax.cli.parser import Parser
 
 COMMANDS = {
     "train": "Train a policy.",
@@ -57,8 +59,10 @@ def main() -> None:
         _run(command, arguments, out)
 
 
-def parser(name: str, epilog: str = "") -> Parser:
+def parser(name: str, epilog: str = "") -> "Parser":
     """The parser of a command; modules of the user's own can be named on each."""
+    from mapg_jax.cli.parser import Parser  # it reads values by `envs`, which may be another's
+
     command = Parser(prog=f"mapg {name}", description=COMMANDS[name], epilog=epilog)
     plugins.add_argument(command)
     return command
