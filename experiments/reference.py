@@ -1,5 +1,6 @@
 """Each algorithm by its published settings, beside the scores that are published for them."""
 
+import math
 from collections.abc import Sequence
 from statistics import fmean
 from typing import NamedTuple
@@ -51,8 +52,10 @@ def runs(plan: Plan) -> list[Config]:
 
 
 def of(plan: Plan, cell: Cell, m: int) -> list[Config]:
-    """The runs of a cell with M = m; a smaller plan has no more steps than its others."""
-    steps = min(cell.steps, plan.base.steps)
+    """The runs of a cell with M = m, in whole rollouts; a smaller plan has fewer steps."""
+    usual = by_reference(cell.algorithm)
+    turn = usual.environments * getattr(usual, "rollout_steps", 1)
+    steps = math.ceil(min(cell.steps, plan.base.steps) / turn) * turn
     count = cell.seeds if plan.seeds is None else min(plan.seeds, cell.seeds)
     return [
         by_reference(
@@ -90,7 +93,7 @@ def table(plan: Plan) -> Table:
             (
                 registry.find(cell.algorithm).label(1),
                 cell.env,
-                f"{min(cell.steps, plan.base.steps):,}",
+                f"{of(plan, cell, 1)[0].steps:,}",
                 scores.summary(plain),
                 f"{cell.least:,g}",
                 _reached(plain, cell.least),

@@ -27,6 +27,7 @@ def test_plain_algorithms_come_first_and_are_named_by_their_preset(plan):
     assert len({name(config, plan) for config in wanted}) == len(wanted)
     assert name(wanted[0], plan) == "pendulum-naf-reference-m1-30000-s2000"
     assert wanted[0].hidden == (200, 200) and not wanted[0].layer_norm
+    assert (wanted[1].algorithm, wanted[1].steps) == ("ppo", 489 * 2048)
 
 
 def test_the_mean_over_seeds_is_what_must_reach(plan):
