@@ -10,6 +10,7 @@ import functools
 import json
 import os
 import pathlib
+import signal
 import subprocess
 import sys
 import tempfile
@@ -133,6 +134,7 @@ def main() -> None:
     if not (other / "mapg_jax").is_dir():
         parser.error(f"{other} is no checkout of this project: it has no folder mapg_jax")
 
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # the table is printed
     groups = subjects(arguments.quick)
     chosen = [subject for name in arguments.only or groups for subject in groups[name]]
     rounds = 1 if arguments.quick else arguments.rounds

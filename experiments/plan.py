@@ -146,16 +146,9 @@ def is_the_papers(plan: Plan) -> bool:
     return plan.results == pathlib.Path("results") and not plan.flags
 
 
-def by_reference(algorithm: str, **changes: Any) -> Config:
-    """One run by the settings that are published for an algorithm."""
-    return preset("reference", algorithm, **changes)
-
-
 def name(config: Config, plan: Plan) -> str:
     """The folder of a run, by what sets it apart: `hopper-ddpg-m1-s2000`."""
-    free = {"env", "seed", "heads", *SHARED} & set(fields(type(config)))
-    own = {field: getattr(config, field) for field in free}
-    if config == by_reference(config.algorithm, **own):
+    if not _differences(config, _reference(config.algorithm)):
         steps = config.steps
         return f"{config.env}-{config.slug}-reference-m{config.heads}-{steps}-s{config.seed}"
     parts = [config.env, config.slug, f"m{config.heads}"]
@@ -210,10 +203,18 @@ def is_core(config: Config, plan: Plan) -> bool:
 
 def changed(config: Config, plan: Plan) -> set[str]:
     """What a run has otherwise than its algorithm's preset, beside its seed, M and steps."""
-    usual = _usual(plan, config.algorithm)
+    return _differences(config, _usual(plan, config.algorithm))
+
+
+def _differences(config: Config, usual: Config) -> set[str]:
     bears = {name for name, field in fields(type(usual)).items() if not field.metadata["host"]}
     names = bears - {"env", "seed", "heads", "steps"}
     return {name for name in names if getattr(config, name) != getattr(usual, name)}
+
+
+@functools.cache
+def _reference(algorithm: str) -> Config:
+    return preset("reference", algorithm)
 
 
 @functools.cache

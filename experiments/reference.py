@@ -6,10 +6,10 @@ from statistics import fmean
 from typing import NamedTuple
 
 from experiments import rows, scores
-from experiments.plan import FIRST_SEED, Plan, by_reference
+from experiments.plan import FIRST_SEED, Plan
 from mapg_jax.algorithms import registry
 from mapg_jax.reports.document import Table
-from mapg_jax.training.config import Config
+from mapg_jax.training.config import Config, preset
 
 
 class Cell(NamedTuple):
@@ -53,12 +53,13 @@ def runs(plan: Plan) -> list[Config]:
 
 def of(plan: Plan, cell: Cell, m: int) -> list[Config]:
     """The runs of a cell with M = m, in whole rollouts; a smaller plan has fewer steps."""
-    usual = by_reference(cell.algorithm)
+    usual = preset("reference", cell.algorithm)
     turn = usual.environments * getattr(usual, "rollout_steps", 1)
     steps = math.ceil(min(cell.steps, plan.base.steps) / turn) * turn
     count = cell.seeds if plan.seeds is None else min(plan.seeds, cell.seeds)
     return [
-        by_reference(
+        preset(
+            "reference",
             cell.algorithm,
             env=cell.env,
             heads=m,

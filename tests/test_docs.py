@@ -98,3 +98,12 @@ def test_a_command_of_the_readme_runs(line, tmp_path, monkeypatch):
 def test_a_command_of_the_readme_is_understood(line):
     """Its flags are those of the command; what it needs beside them may not be there."""
     command(line)
+
+
+def test_the_speeds_of_the_readme_are_those_of_the_page():
+    page = (PAGE.parent.parent / "benchmarks" / "results.md").read_text()
+    (paragraph,) = re.findall(r"^On 2 cores and at one update a step.*?\(\[", README, re.M | re.S)
+    rows = re.findall(r"^\| (SBX|Stable-Baselines3|rejax),.*?\| [\d,]+ \| ([\d.]+) \(", page, re.M)
+    (cost,) = re.findall(r"^M = 10 takes ([\d.]+) times the time of M = 1", page, re.M)
+    assert [name for name, _ in rows] == ["SBX", "Stable-Baselines3", "rejax"]
+    assert re.findall(r"([\d.]+) times", paragraph) == [*(times for _, times in rows), cost]

@@ -9,8 +9,8 @@ import time
 
 import pytest
 
-from benchmarks import page, reach
-from benchmarks.reach import Learner, Result, Task
+from benchmarks import page, reach, reach_runs
+from benchmarks.reach_runs import Learner, Result, Task
 from mapg_jax.runs import csv_file
 
 INF = math.inf
@@ -42,9 +42,9 @@ LEARNERS = {
 @pytest.fixture(autouse=True)
 def elsewhere(tmp_path, monkeypatch):
     """A task of a second, and files of its own."""
-    monkeypatch.setattr(reach, "TASKS", {"up": Task(5.0, 1.0)})
-    monkeypatch.setattr(reach, "LEARNERS", LEARNERS)
-    monkeypatch.setattr(reach, "FILE", tmp_path / "reach.csv")
+    monkeypatch.setattr(reach_runs, "TASKS", {"up": Task(5.0, 1.0)})
+    monkeypatch.setattr(reach_runs, "LEARNERS", LEARNERS)
+    monkeypatch.setattr(reach_runs, "FILE", tmp_path / "reach.csv")
     monkeypatch.setattr(page, "FILE", tmp_path / "results.md")
 
 
@@ -56,24 +56,24 @@ ROWS = [{"env_steps": k, "return_mean": x} for k, x in enumerate([math.nan, 4.0,
 
 
 def test_the_first_evaluation_that_reaches_counts():
-    assert reach.outcome(ROWS, 3.0, Task(5.0, 10.0)) == (3.0, 2, 5.0)
-    assert reach.outcome(ROWS, 3.0, Task(9.5, 10.0)) is None
-    assert reach.outcome(ROWS, 10.5, Task(9.5, 10.0)) == (INF, 3, 9.0)
+    assert reach_runs.outcome(ROWS, 3.0, Task(5.0, 10.0)) == (3.0, 2, 5.0)
+    assert reach_runs.outcome(ROWS, 3.0, Task(9.5, 10.0)) is None
+    assert reach_runs.outcome(ROWS, 10.5, Task(9.5, 10.0)) == (INF, 3, 9.0)
 
 
 def test_what_is_late_has_not_reached():
-    assert reach.outcome(ROWS, 10.5, Task(5.0, 10.0)) == (INF, 3, 9.0)
-    assert str(reach.outcome([], 10.5, Task(5.0, 10.0))) == "(inf, nan, nan)"
+    assert reach_runs.outcome(ROWS, 10.5, Task(5.0, 10.0)) == (INF, 3, 9.0)
+    assert str(reach_runs.outcome([], 10.5, Task(5.0, 10.0))) == "(inf, nan, nan)"
 
 
 def test_a_run_is_timed_from_outside_and_ended():
     begun = time.monotonic()
-    reached = reach.measure("up", LEARNERS["up"][1], 0, threading.Event())
+    reached = reach_runs.measure("up", LEARNERS["up"][1], 0, threading.Event())
     assert reached and reached.reached
     assert reached[:3] == ("up", "ours, M = 10", 0)
     assert 0 < reached.seconds < time.monotonic() - begun
     assert (reached.env_steps, reached.return_mean) == (2, 8.0)
-    missed = reach.measure("up", LEARNERS["up"][3], 0, threading.Event())
+    missed = reach_runs.measure("up", LEARNERS["up"][3], 0, threading.Event())
     assert missed and not missed.reached
     assert (missed.env_steps, missed.return_mean) == (2, 2.0)
 
@@ -81,62 +81,62 @@ def test_a_run_is_timed_from_outside_and_ended():
 def test_a_run_that_ends_by_itself_is_an_error():
     broken = Learner("broken", (sys.executable, "-c", "raise SystemExit('no such thing')"), "")
     with pytest.raises(RuntimeError, match="ended by itself: no such thing"):
-        reach.measure("up", broken, 0, threading.Event())
+        reach_runs.measure("up", broken, 0, threading.Event())
 
 
 def test_ours_go_on_as_a_pair_with_ten_heads():
     def pair(ddpg: float, ten: float, ppo: float) -> list[str]:
         names = ("ours, DDPG", "ours, M = 10", "ours, PPO")
         found = [result(*x) for x in zip(names, (0, 0, 0), (ddpg, ten, ppo), strict=True)]
-        return [x.name for x in reach.kept("up", found)]
+        return [x.name for x in reach_runs.kept("up", found)]
 
     assert pair(1, 3, 2) == ["ours, DDPG", "ours, M = 10", "theirs"]
     assert pair(2, 1, 3) == ["ours, M = 10", "ours, DDPG", "theirs"]
     assert pair(INF, INF, 1) == ["ours, PPO", "ours, M = 10", "theirs"]
     one = [result("ours, DDPG", 0, 1.0)]
-    assert [x.name for x in reach.kept("up", one)] == ["theirs"]  # ours have not all run
+    assert [x.name for x in reach_runs.kept("up", one)] == ["theirs"]  # ours have not all run
 
 
 def test_it_goes_on_where_it_stopped_seed_by_seed():
-    reach.train(["up"], 2)
-    found = reach.results(reach.FILE)
-    by_seed = [{x.learner for x in found if x.seed == seed} for seed in reach.SEEDS]
+    reach_runs.train(["up"], 2)
+    found = reach_runs.results(reach_runs.FILE)
+    by_seed = [{x.learner for x in found if x.seed == seed} for seed in reach_runs.SEEDS]
     assert by_seed[0] == {x.name for x in LEARNERS["up"]}
     assert all(len(x) == 3 and "theirs" in x for x in by_seed[1:])
     assert [x.seed for x in found] == sorted(x.seed for x in found)
-    written = csv_file.read(reach.FILE)
-    csv_file.write(reach.FILE, written[0], written[1][:-1])
-    reach.train(["up"], 1)
-    last = reach.results(reach.FILE)[-1]
+    written = csv_file.read(reach_runs.FILE)
+    csv_file.write(reach_runs.FILE, written[0], written[1][:-1])
+    reach_runs.train(["up"], 1)
+    last = reach_runs.results(reach_runs.FILE)[-1]
     assert last[:3] == found[-1][:3]
-    whole = reach.FILE.read_bytes()
-    reach.train(["up"], 1)
-    assert reach.FILE.read_bytes() == whole
+    whole = reach_runs.FILE.read_bytes()
+    reach_runs.train(["up"], 1)
+    assert reach_runs.FILE.read_bytes() == whole
 
 
 def test_results_read_back_as_they_were_written():
     found = [result("ours, DDPG", 0, 1.5), result("theirs", 0, INF)]
-    csv_file.write(reach.FILE, reach.HEADER, map(reach.as_row, found))
-    assert reach.results(reach.FILE) == found
+    csv_file.write(reach_runs.FILE, reach_runs.HEADER, map(reach_runs.as_row, found))
+    assert reach_runs.results(reach_runs.FILE) == found
 
 
 def test_a_signal_ends_the_runs_and_leaves_the_file_whole(tmp_path):
     program = (
         "import signal, sys, pathlib\n"
-        "from benchmarks import reach\n"
-        f"reach.FILE = pathlib.Path({str(reach.FILE)!r})\n"
-        "reach.TASKS = {'up': reach.Task(5.0, 60.0)}\n"
-        f"slow = reach.Learner('slow', (sys.executable, '-c', {WRITES!r}, '1'), '')\n"
-        f"quick = reach.Learner('quick', (sys.executable, '-c', {WRITES!r}, '6'), '')\n"
-        "reach.LEARNERS = {'up': (quick, slow)}\n"
+        "from benchmarks import reach_runs\n"
+        f"reach_runs.FILE = pathlib.Path({str(reach_runs.FILE)!r})\n"
+        "reach_runs.TASKS = {'up': reach_runs.Task(5.0, 60.0)}\n"
+        f"slow = reach_runs.Learner('slow', (sys.executable, '-c', {WRITES!r}, '1'), '')\n"
+        f"quick = reach_runs.Learner('quick', (sys.executable, '-c', {WRITES!r}, '6'), '')\n"
+        "reach_runs.LEARNERS = {'up': (quick, slow)}\n"
         "signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))\n"
-        "reach.train(['up'], 1)\n"
+        "reach_runs.train(['up'], 1)\n"
     )
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as process:
         assert process.stdout.readline().startswith(b"up quick 0 ")  # the other one has begun
         process.send_signal(signal.SIGTERM)
         assert process.wait(10) == 143
-    (found,) = reach.results(reach.FILE)
+    (found,) = reach_runs.results(reach_runs.FILE)
     assert found[:3] == ("up", "quick", 0)
     assert not list(tmp_path.glob("*.partial"))
 
@@ -177,7 +177,7 @@ def test_the_verdict_says_who_is_shortest_and_by_what():
 
 def test_the_section_takes_its_place_on_the_page():
     assert "not measured" in reach.report()
-    csv_file.write(reach.FILE, reach.HEADER, map(reach.as_row, MADE))
+    csv_file.write(reach_runs.FILE, reach_runs.HEADER, map(reach_runs.as_row, MADE))
     section = reach.report()
     assert "### up, 5 within 1 s" in section
     assert "ours, PPO (of ours, PPO) over 60" in section

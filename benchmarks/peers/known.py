@@ -9,16 +9,10 @@ units) and DroQ's (20 updates a step), which ask for an accelerator.
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-ZOO = (
-    "https://github.com/DLR-RM/rl-baselines3-zoo/blob/"
-    "208b6fdf3a9aa24de44b2e068c6e5f6a07d97fcc/hyperparams"
-)
+ZOO = "DLR-RM/rl-baselines3-zoo at 208b6fd, hyperparams"
 """RL Baselines3 Zoo, whose settings are for SBX too: its README sends there."""
-SBX = "https://github.com/araffin/sbx/blob/a7b31359c1fbb411d81f8f1020c33c913bb4dd47/README.md"
-REJAX = (
-    "https://github.com/keraJLi/rejax/blob/"
-    "b33bab417060219a5ff6bdf21f92cf0ca183bd34/configs/gymnax/pendulum.yaml"
-)
+README = "araffin/sbx at a7b3135, README"
+CONFIG = "keraJLi/rejax at b33bab4, configs/gymnax/pendulum.yaml"
 LIBRARIES = {"sb3": "Stable-Baselines3", "sbx": "SBX", "rejax": "rejax"}
 
 
@@ -32,18 +26,15 @@ class Known(NamedTuple):
     evaluate_every: int
     """Environment steps."""
     source: str
-    """Of the settings, as links."""
+    """Of the settings: a repository, its commit and a file."""
     environments: int = 1
     normalize: bool = False
     """Observations and rewards by their running statistics, as the zoo's `normalize`."""
 
 
 def _zoo(algorithm: str) -> str:
-    return f"[the zoo's {algorithm}.yml]({ZOO}/{algorithm}.yml)"
+    return f"{ZOO}/{algorithm}.yml"
 
-
-README = f"[SBX's README]({SBX})"
-CONFIG = f"[rejax's pendulum.yaml]({REJAX})"
 
 PENDULUM_SAC = {"learning_rate": 1e-3}
 PENDULUM_PPO = {
