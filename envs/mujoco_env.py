@@ -8,13 +8,9 @@ import mujoco
 import numpy as np
 
 from envs.base import Action, Env, State
-from envs.engines.mjx import MjxEngine
-from envs.engines.native import NativeEngine
 from envs.frames import Painter, Shown, mujoco_painter, mujoco_viewer
 from envs.mujoco_tasks.restriction import scaled
 from envs.mujoco_tasks.task import MujocoTask
-
-ENGINES = {"native": NativeEngine, "mjx": MjxEngine}
 
 
 class MujocoEnv(Env):
@@ -28,7 +24,7 @@ class MujocoEnv(Env):
         self.task = task
         self.action_high, self.scored_metrics = task.action_high, task.scored_metrics
         self._balls = task.balls
-        self.engine = ENGINES[engine](task)
+        self.engine = _engine(engine, task)
         shapes = jax.eval_shape(self.reset, jax.random.key(0))
         self._observation_size = shapes.obs.shape[-1]
 
@@ -97,3 +93,13 @@ class MujocoEnv(Env):
             {**own, **outcome.metrics},
             {},
         )
+
+
+def _engine(name: str, task: MujocoTask):
+    if name == "mjx":
+        from envs.engines.mjx import MjxEngine  # MJX takes longer to import than all else
+
+        return MjxEngine(task)
+    from envs.engines.native import NativeEngine
+
+    return NativeEngine(task)

@@ -189,12 +189,13 @@ def _text(hint: Any) -> str:
 
 def _as_env(name: str, made: Any, engine: str) -> "Env":
     from envs.base import Env
-    from envs.mujoco_env import MujocoEnv
     from envs.mujoco_tasks.task import MujocoTask
 
     if isinstance(made, Env):
         return made
     if isinstance(made, MujocoTask):
+        from envs.mujoco_env import MujocoEnv
+
         if engine not in PHYSICS_ENGINES:
             raise ValueError(f"{name} is a MuJoCo task: register it with engines={PHYSICS_ENGINES}")
         return MujocoEnv(made, engine)
