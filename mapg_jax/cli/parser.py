@@ -40,10 +40,17 @@ class Parser(argparse.ArgumentParser):
         completion.answer(self)
         arguments, rest = self.parse_known_args(flags)
         if rest:
-            near = difflib.get_close_matches(rest[0], self.flags(), 1)
-            self.error(f"unknown: {rest[0]}" + (f"; did you mean {near[0]}?" if near else ""))
+            self.error(self._unknown(rest[0], flags))
         plugins.load(arguments.imports)
         return arguments
+
+    def _unknown(self, word: str, flags: list[str]) -> str:
+        before = [x for x in flags[: flags.index(word)] if x in self._option_string_actions]
+        if not word.startswith("-") and before:
+            takes = "no value" if self._option_string_actions[before[-1]].nargs == 0 else "one value"
+            return f"{before[-1]} takes {takes}: {word} is one too many"
+        near = difflib.get_close_matches(word, self.flags(), 1)
+        return f"unknown: {word}" + (f"; did you mean {near[0]}?" if near else "")
 
 
 def add_fields(

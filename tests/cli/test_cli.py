@@ -81,6 +81,9 @@ REFUSALS = [
     ("train --heads many", "--heads: must be a whole number, got 'many'"),
     ("train --steps 1e6", "--steps: must be a whole number, got '1e6'"),
     ("train --step 5", "unknown: --step; did you mean --steps?"),
+    ("sweep --out x --seeds 0 1", "--seeds takes one value: 1 is one too many"),
+    ("sweep --out x --no-measure 1", "--no-measure takes no value: 1 is one too many"),
+    ("train 5", "unknown: 5"),
     (
         "train --algorithm a4c",
         f"algorithm must be one of {', '.join(registry.names())}, got 'a4c'",

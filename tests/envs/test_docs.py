@@ -36,7 +36,7 @@ def my_envs(tmp_path, monkeypatch):
 
 def test_ones_own_cart(my_envs, tmp_path):
     """Its last place after 20 steps of force 1 from rest is x + dt² (1 + ... + 20)."""
-    env = envs.with_episodes(envs.make("cart", start=0.5), envs.spec("cart").time_limit)
+    env = envs.with_episodes(envs.make("my-cart", start=0.5), envs.spec("my-cart").time_limit)
     start = jax.jit(env.reset)(jax.random.key(0))
     _, states = jax.jit(
         lambda state: jax.lax.scan(lambda s, a: (env.step(s, a),) * 2, state, jnp.ones((20, 1)))
