@@ -1,6 +1,7 @@
 """A MuJoCo task on a physics engine."""
 
 import contextlib
+import pkgutil
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,9 @@ from envs.base import Action, Env, State
 from envs.frames import Painter, Shown, mujoco_painter, mujoco_viewer
 from envs.mujoco_tasks.restriction import scaled
 from envs.mujoco_tasks.task import MujocoTask
+
+ENGINES = {"native": "envs.engines.native:NativeEngine", "mjx": "envs.engines.mjx:MjxEngine"}
+"""Imported when an environment is made by one: MJX takes longer than all else."""
 
 
 class MujocoEnv(Env):
@@ -24,7 +28,7 @@ class MujocoEnv(Env):
         self.task = task
         self.action_high, self.scored_metrics = task.action_high, task.scored_metrics
         self._balls = task.balls
-        self.engine = _engine(engine, task)
+        self.engine = pkgutil.resolve_name(ENGINES[engine])(task)
         shapes = jax.eval_shape(self.reset, jax.random.key(0))
         self._observation_size = shapes.obs.shape[-1]
 
@@ -93,13 +97,3 @@ class MujocoEnv(Env):
             {**own, **outcome.metrics},
             {},
         )
-
-
-def _engine(name: str, task: MujocoTask):
-    if name == "mjx":
-        from envs.engines.mjx import MjxEngine  # MJX takes longer to import than all else
-
-        return MjxEngine(task)
-    from envs.engines.native import NativeEngine
-
-    return NativeEngine(task)

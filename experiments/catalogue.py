@@ -1,5 +1,6 @@
 """The experiments by name."""
 
+import functools
 import importlib
 import itertools
 from collections.abc import Sequence
@@ -48,7 +49,12 @@ def experiment(name: Name):
 
 def runs(plan: Plan, names: Sequence[Name]) -> list[Config]:
     """All runs of those experiments: items 1 to 5 of the protocol, then those of LATER."""
-    wanted = set(itertools.chain.from_iterable(experiment(name).runs(plan) for name in names))
-    last = itertools.chain.from_iterable(experiment(name).runs(plan) for name in LATER)
+    wanted = set(itertools.chain.from_iterable(_runs(name, plan) for name in names))
+    last = itertools.chain.from_iterable(_runs(name, plan) for name in LATER)
     later = [config for config in last if config in wanted]
     return [*in_order(plan, wanted.difference(later)), *later]
+
+
+@functools.cache  # a page asks for the runs of LATER with every section
+def _runs(name: Name, plan: Plan) -> tuple[Config, ...]:
+    return tuple(experiment(name).runs(plan))

@@ -47,7 +47,8 @@ class Parser(argparse.ArgumentParser):
     def _unknown(self, word: str, flags: list[str]) -> str:
         before = [x for x in flags[: flags.index(word)] if x in self._option_string_actions]
         if not word.startswith("-") and before:
-            takes = "no value" if self._option_string_actions[before[-1]].nargs == 0 else "one value"
+            flag = self._option_string_actions[before[-1]]
+            takes = "no value" if flag.nargs == 0 else "one value"
             return f"{before[-1]} takes {takes}: {word} is one too many"
         near = difflib.get_close_matches(word, self.flags(), 1)
         return f"unknown: {word}" + (f"; did you mean {near[0]}?" if near else "")

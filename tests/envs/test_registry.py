@@ -15,9 +15,9 @@ from brax.envs.fast import Fast
 import envs
 from envs.base import Env, State
 from envs.interop.brax import BraxEnv
+from envs.mujoco_env import ENGINES
 from envs.mujoco_tasks.hopper import Hopper
 from envs.mujoco_tasks.task import ASSETS
-from envs.registry import PHYSICS_ENGINES
 
 
 class Line(Env):
@@ -205,8 +205,8 @@ def test_a_registered_task_runs_on_both_engines():
         healthy_z_range: tuple[float, float] = (0.3, 2.0)
 
     envs.register("low_hopper", LowHopper, time_limit=100)
-    assert envs.spec("low_hopper").engines == PHYSICS_ENGINES
-    for engine in PHYSICS_ENGINES:
+    assert envs.spec("low_hopper").engines == tuple(ENGINES)
+    for engine in ENGINES:
         env = envs.make("low_hopper", engine, healthy_z_range=(0.5, 1.5))
         assert env.backend == engine and env.task.healthy_z_range == (0.5, 1.5)
 
