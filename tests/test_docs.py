@@ -1,8 +1,8 @@
 """The examples of docs/extending.md and of the README, as a reader would run them.
 
-Of the README's commands, evaluate, watch, export and report are run, on a policy of the zoo; of
-those that train, serve or draw for long, the flags are read. (What they do is tested in tests/cli
-and tests/runs.)
+Of the README's commands, those that train are run with fewer steps (slow), the others on policies
+of the zoo; of those that serve or train for hours whatever they are told, the flags are read. (What
+they do is tested in tests/cli and tests/experiments.)
 """
 
 import importlib
@@ -72,8 +72,32 @@ def test_a_snippet_of_the_readme_runs(text, tmp_path, monkeypatch):
 
 
 COMMANDS = re.findall(r"^    (mapg \w.*?)(?:  +#.*)?$", README, re.M)
-BRIEFLY = {"evaluate": " --episodes 2", "watch": " --steps 3", "export": "", "report": ""}
+FEW = " --steps 800 --evaluate-every 400 --evaluation-episodes 1 --final-episodes 2"
+BRIEFLY = {
+    "evaluate": " --episodes 2",
+    "watch": " --steps 3",
+    "export": "",
+    "report": "",
+    "resume": "",
+    "envs": "",
+    "draw": "",
+    "train": FEW,
+    "sweep": f"{FEW} --heads 1 2 --seeds 1",
+    "search": f"{FEW} --trials 1",
+}
 """Commands that are run, with fewer steps."""
+LONG = ("train", "sweep", "search", "draw")
+THERE = {
+    "zoo/pendulum-m10": "pendulum-m10",
+    "runs/hopper-m10": "pendulum-m10",  # whose pictures need no OpenGL
+    "runs/driving-mapg-m10-1": "driving-m10",
+}
+"""What a reader has by then, of the zoo; a command that trains makes its own."""
+RUN = [
+    pytest.param(line, marks=[pytest.mark.slow] * (line.split()[1] in LONG))
+    for line in COMMANDS
+    if line.split()[1] in BRIEFLY and "playground:" not in line  # an extra
+]
 
 
 def command(line):
@@ -82,11 +106,12 @@ def command(line):
     return module, module.parse(flags)
 
 
-@pytest.mark.parametrize("line", [line for line in COMMANDS if line.split()[1] in BRIEFLY])
+@pytest.mark.parametrize("line", RUN)
 def test_a_command_of_the_readme_runs(line, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for there in ("zoo/pendulum-m10", "runs/hopper-m10"):  # which a reader has trained by then
-        shutil.copytree(PAGE.parent.parent / "zoo" / "pendulum-m10", there)
+    if " train " not in line:
+        for there, policy in THERE.items():
+            shutil.copytree(PAGE.parent.parent / "zoo" / policy, there)
     module, arguments = command(line + BRIEFLY[line.split()[1]])
     said = tmp_path / "said.txt"
     with said.open("w") as out:
@@ -94,7 +119,7 @@ def test_a_command_of_the_readme_runs(line, tmp_path, monkeypatch):
     assert said.read_text()
 
 
-@pytest.mark.parametrize("line", [line for line in COMMANDS if line.split()[1] not in BRIEFLY])
+@pytest.mark.parametrize("line", COMMANDS)
 def test_a_command_of_the_readme_is_understood(line):
     """Its flags are those of the command; what it needs beside them may not be there."""
     command(line)

@@ -49,7 +49,7 @@ class NativeEngine:
         """`task.frame_skip` physics steps under `control` ([A] float32, Gymnasium's units)."""
         return self._call("step", bits, control)
 
-    def mj_data(self, bits: jax.Array) -> mujoco.MjData:
+    def mj_data(self, bits: jax.Array | np.ndarray) -> mujoco.MjData:
         """The simulation of one instance, with everything derived from its state computed."""
         data = mujoco.MjData(self.task.model)
         values = to_float64(np.asarray(bits))
