@@ -41,6 +41,9 @@ SEEDS_OF_HUMANOID = {"core": 6, "others": 2}
 """Of a cell; a run of Humanoid takes four times as long."""
 
 
+NOWHERE = pathlib.Path()
+
+
 class Plan(NamedTuple):
     """What all runs of an invocation share, how many there are, and where they go."""
 
@@ -96,7 +99,8 @@ class Plan(NamedTuple):
           count: of its seeds; by default what items 1 to 5 of the protocol say.
           **changes: what sets the cell apart.
         """
-        return list(_cell(self, env, count, tuple(changes.items())))
+        anywhere = self._replace(runs=NOWHERE, results=NOWHERE)
+        return list(_cell(anywhere, env, count, tuple(changes.items())))
 
     def folder(self, config: Config) -> pathlib.Path:
         """Where a run is trained."""
@@ -107,7 +111,7 @@ class Plan(NamedTuple):
 def _cell(
     plan: Plan, env: str, count: int | None, changes: tuple[tuple[str, Any], ...]
 ) -> tuple[Config, ...]:
-    """Made once: a page asks for the same cells many times."""
+    """Made once: a page asks for the same cells many times, wherever it is written."""
     first = plan.config(env, FIRST_SEED if plan.version == 2 else 0, **dict(changes))
     most = (count or seeds(first, plan)) if plan.version == 2 else EARLIER_SEEDS
     wanted = most if plan.seeds is None else min(plan.seeds, most)

@@ -63,7 +63,10 @@ README = (PAGE.parent.parent / "README.md").read_text()
 SNIPPETS = re.findall(r"```python\n(.*?)```", README, re.S)
 
 
-@pytest.mark.parametrize("text", SNIPPETS)
+@pytest.mark.parametrize(
+    "text",
+    [pytest.param(SNIPPETS[0], marks=pytest.mark.slow), *SNIPPETS[1:]],  # the second trains, too
+)
 def test_a_snippet_of_the_readme_runs(text, tmp_path, monkeypatch):
     """With fewer steps, and a run to load where it begins with one that the reader has."""
     monkeypatch.chdir(tmp_path)

@@ -226,7 +226,8 @@ def _config_type(name: str, algorithm: Any) -> type[Config]:
     return cast(type[Config], made)
 
 
-def fields(cls: type[Config]) -> dict[str, dataclasses.Field]:
+@functools.cache  # configurations of a protocol are made by the thousand
+def fields(cls: type[Config]) -> Mapping[str, dataclasses.Field]:
     """The fields that can be set, by name."""
     return {field.name: field for field in dataclasses.fields(cls) if field.init}
 

@@ -28,6 +28,7 @@ def files(folder: pathlib.Path) -> dict[pathlib.Path, bytes]:
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 def test_a_killed_sweep_resumes_and_finishes(mapg, tmp_path):
     """SIGTERM: the workers save and end. What is left is done by `mapg resume`, in lockstep."""
     out = tmp_path / "sweep"

@@ -1,6 +1,7 @@
 """A run on the host: its rows, resumed bit for bit, stopped where it diverges."""
 
 import dataclasses
+import functools
 import json
 import os
 import platform
@@ -73,38 +74,57 @@ def test_fixed_starts_are_those_of_every_evaluation():
     assert (keys["fresh"][0] != keys["fresh"][1]).any()
 
 
-def test_columns_that_depend_on_the_clock_say_so(finished_run, tmp_path):
+# ----- resuming
+
+
+@pytest.fixture(scope="module")
+def resume(finished_run, tmp_path_factory):
+    """resume(upto) → the folder of the run, cut off after that step and taken up; done once."""
+
+    @functools.cache
+    def resumed(upto: int) -> RunFolder:
+        folder = oracles.copy_run(finished_run, tmp_path_factory.mktemp("cut") / "run", upto=upto)
+        assert len(read_metrics(folder.metrics)) == 4
+        run = take_up(folder.path)
+        assert run.turn == upto // 4
+        with pytest.raises(BlockingIOError, match="another process trains"):
+            take_up(folder.path)  # locked from the look at its checkpoints on
+        run.go()
+        assert run.finished
+        folder.lock().close()
+        return folder
+
+    return resumed
+
+
+@pytest.mark.parametrize("upto", [64, 400, 0])
+def test_resuming_equals_not_stopping(finished_run, resume, upto):
+    """From a checkpoint between two evaluations, and at one; metrics are cut back to it.
+
+    0: at no checkpoint at all, from the beginning. The trainer is a fresh one each time.
+    """
+    oracles.assert_same_run(resume(upto), finished_run)
+
+
+def test_columns_that_depend_on_the_clock_say_so(finished_run, resume):
     """The same run again: all other columns are equal, to the last digit; these differ."""
-    run = begin(oracles.RUN, tmp_path / "again")
-    run.go()
-    oracles.assert_same_run(run.folder, finished_run)
-    rows = zip(read_metrics(run.folder.metrics), read_metrics(finished_run.metrics), strict=True)
+    rows = zip(read_metrics(resume(0).metrics), read_metrics(finished_run.metrics), strict=True)
     for one, other in rows:
         clock = {k for k in one if k.endswith(oracles.CLOCK)}
         assert clock == {"steps_per_second", "updates_per_second", "seconds"}
         assert all(one[k] != other[k] for k in clock)
 
 
-# ----- resuming
-
-
-@pytest.mark.parametrize("upto", [64, 400, None])
-def test_resuming_equals_not_stopping(finished_run, tmp_path, upto):
-    """From a checkpoint between two evaluations, and at one; metrics are cut back to it.
-
-    None: at no checkpoint at all, from the beginning. The trainer is a fresh one each time.
-    """
-    folder = oracles.copy_run(finished_run, tmp_path / "run", upto=0 if upto is None else upto)
-    assert len(read_metrics(folder.metrics)) == 4
-    run = take_up(folder.path)
-    assert run.turn == (upto or 0) // 4
-    run.go()
-    assert run.finished
-    oracles.assert_same_run(folder, finished_run)
+def test_seconds_go_on_where_they_stopped(finished_run, resume):
+    before = read_metrics(finished_run.metrics)[1]["seconds"]
+    seconds = [row["seconds"] for row in read_metrics(resume(400).metrics)]
+    assert seconds == sorted(seconds)
+    assert seconds[1] == before
+    assert seconds[2] > before
 
 
 def test_a_run_saved_without_its_replay_fills_it_before_it_learns(tmp_path, caplog):
-    """And learns again when it has what the first update needed."""
+    """And learns again when it has what the first update needed: in the turn of step 500."""
     config = dataclasses.replace(oracles.RUN, save_replay=False, steps=400, learning_starts=100)
     half = begin(config, tmp_path / "run")
     half.go()
@@ -112,11 +132,10 @@ def test_a_run_saved_without_its_replay_fills_it_before_it_learns(tmp_path, capl
     assert (int(state.replay.size), int(state.replay.position)) == (0, 0)
     assert not np.any(state.replay.data.reward)
     updates = int(state.agent.learner.updates)
-    for steps, learns in ((496, False), (500, True)):
-        copied = oracles.copy_run(half.folder, tmp_path / str(steps))
-        run = take_up(copied.path, steps=steps)
-        run.go()
-        assert (int(oracles.newest_state(run.folder).agent.learner.updates) > updates) == learns
+    take_up(half.folder.path, steps=504).go()
+    a_turn = 4 * 0.5
+    after = oracles.newest_state(half.folder)
+    assert int(after.agent.learner.updates) == updates + 2 * a_turn  # of 500 and of 504
     assert "was saved without its replay" in caplog.text
 
 
@@ -168,15 +187,6 @@ def test_rows_that_the_run_did_not_write_are_refused(finished_run, tmp_path):
         take_up(folder.path)
 
 
-def test_a_run_is_locked_from_the_look_at_its_checkpoints_on(finished_run, tmp_path):
-    folder = oracles.copy_run(finished_run, tmp_path / "run", upto=400)
-    run = take_up(folder.path)
-    with pytest.raises(BlockingIOError, match="another process trains"):
-        take_up(folder.path)
-    run.go()
-    folder.lock().close()
-
-
 def test_another_machine_is_said(finished_run, tmp_path, caplog):
     folder = oracles.copy_run(finished_run, tmp_path / "run", upto=400)
     take_up(folder.path)
@@ -209,16 +219,6 @@ def test_a_member_of_a_group_goes_on_in_the_program_of_all(tmp_path):
     go(cut, idle=(0, 2))
     for folder, state in zip(cut, before, strict=True):
         oracles.assert_equal(oracles.newest_state(folder), state)
-
-
-def test_seconds_go_on_where_they_stopped(finished_run, tmp_path):
-    folder = oracles.copy_run(finished_run, tmp_path / "run", upto=400)
-    before = read_metrics(folder.metrics)[1]["seconds"]
-    take_up(folder.path).go()
-    seconds = [row["seconds"] for row in read_metrics(folder.metrics)]
-    assert seconds == sorted(seconds)
-    assert seconds[1] == before
-    assert seconds[2] > before
 
 
 # ----- divergence
