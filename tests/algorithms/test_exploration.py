@@ -9,7 +9,7 @@ import pytest
 from mapg_jax.algorithms import exploration
 from mapg_jax.algorithms.exploration import OU_DT, OU_THETA
 
-N, A = 20_000, 2
+N, A = 2_000, 2
 SIGMA = 0.2
 
 

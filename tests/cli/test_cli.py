@@ -202,7 +202,7 @@ def test_a_drive_is_drawn_from_its_start(mapg, tmp_path, monkeypatch):
     ((recorded,),) = drawn
     states = recorded.states
     (key,) = jax.random.split(jax.random.split(jax.random.key(5))[0], 1)
-    start = config.make_env().reset(key).pipeline_state
+    start = jax.jit(config.make_env().reset)(key).pipeline_state
     assert (states.x.shape, recorded.actions.shape) == ((21,), (20, 3))
     assert (states.steps == range(21)).all()
     assert (states.x[0], states.y[0]) == (start.x, start.y)

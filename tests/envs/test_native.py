@@ -60,16 +60,23 @@ def assert_equals_gymnasium(name, reference, qpos, qvel, steps, **options):
     got_qpos, got_qvel = float64(states, env.task.model)
 
     np.testing.assert_array_equal(start.obs, reference.reset_to(qpos, qvel))
-    for t, action in enumerate(actions):
-        observation, reward, terminated, info = reference.step(action * env.action_high)
-        np.testing.assert_array_equal(got_qpos[t], reference.data.qpos)
-        np.testing.assert_array_equal(got_qvel[t], reference.data.qvel)
-        np.testing.assert_array_equal(states.obs[t], observation)
-        assert bool(states.done[t]) == terminated
-        assert abs(states.reward[t] - reward) <= REWARD_TOLERANCE * max(1, abs(reward))
-        assert states.metrics.keys() == info.keys()
-        for key, value in info.items():
-            assert abs(states.metrics[key][t] - value) <= REWARD_TOLERANCE * max(1, abs(value))
+    stepped = []
+    for action in actions:
+        *seen, info = reference.step(action * env.action_high)
+        stepped.append((*seen, info, reference.data.qpos.copy(), reference.data.qvel.copy()))
+    observation, reward, terminated, info, expected_qpos, expected_qvel = zip(*stepped, strict=True)
+    np.testing.assert_array_equal(got_qpos, expected_qpos)
+    np.testing.assert_array_equal(got_qvel, expected_qvel)
+    np.testing.assert_array_equal(states.obs, observation)
+    np.testing.assert_array_equal(states.done, terminated)
+    assert_close(states.reward, np.array(reward))
+    assert states.metrics.keys() == info[0].keys()
+    for key, value in states.metrics.items():
+        assert_close(value, np.array([one[key] for one in info]))
+
+
+def assert_close(got, expected):
+    assert (abs(got - expected) <= REWARD_TOLERANCE * np.maximum(1, abs(expected))).all()
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -26,14 +26,14 @@ def two_laps():
     policy = scripted_driver(env.ray_angles)
 
     @jax.jit
-    def drive(state):
+    def drive(key):
         def step(state, _):
             state = env.step(state, policy(state.obs[:29]))
             return state, state
 
-        return jax.lax.scan(step, state, length=1200)[1]
+        return jax.lax.scan(step, env.reset(key), length=1200)[1]
 
-    states = jax.device_get(drive(env.reset(jax.random.key(0))))
+    states = jax.device_get(drive(jax.random.key(0)))
     last = int(np.argmax(states.done))
     return env, jax.tree.map(lambda x: x[: last + 1], states)
 
@@ -75,7 +75,7 @@ def test_observations_lie_within_their_bounds(two_laps):
 
 def test_a_penalty_is_taken_off_the_track_alone():
     plain, punished = (make(off_track_end=None, off_track_penalty=p) for p in (0.0, 0.25))
-    state = plain.reset(jax.random.key(0))
+    state = jax.jit(plain.reset)(jax.random.key(0))
     step, punished_step = jax.jit(plain.step), jax.jit(punished.step)
     differences = []
     for _ in range(120):
@@ -129,13 +129,13 @@ def test_drag_alone_slows_as_its_closed_form():
 
 def test_episodes_draw_their_car():
     env = make(grip=0.8, randomize=0.25)
-    state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 2_000))
-    setup = state.pipeline_state.setup
+    draw = jax.jit(jax.vmap(lambda key: env.reset(key).pipeline_state.setup))
+    setup = draw(jax.random.split(jax.random.key(0), 2_000))
     for name, about in (("grip", 0.8), ("mass", 1.0)):
         factors = np.asarray(getattr(setup, name)) / about
         assert 0.75 <= factors.min() < 0.76 and 1.24 < factors.max() <= 1.25
         assert factors.mean() == pytest.approx(1, abs=4 * 0.25 / np.sqrt(3 * 2_000))
-    assert make().reset(jax.random.key(0)).pipeline_state.setup is None
+    assert jax.eval_shape(make().reset, jax.random.key(0)).pipeline_state.setup is None
     none = drawn(jax.random.key(0), Setup(mass=2.0), 0.0)
     assert none == Setup(mass=2.0)
 
