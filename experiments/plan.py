@@ -39,9 +39,8 @@ EARLIER_SEEDS = 10
 SEEDS = {"core": 8, "others": 5}
 SEEDS_OF_HUMANOID = {"core": 6, "others": 2}
 """Of a cell; a run of Humanoid takes four times as long."""
-
-
 NOWHERE = pathlib.Path()
+"""Of a plan whose folders do not matter."""
 
 
 class Plan(NamedTuple):
