@@ -9,7 +9,7 @@ demo: .venv/ready  ## train MAPG (M = 10) on Pendulum and score it over 100 epis
 	$(BIN)/mapg train --env pendulum --heads 10 --steps 40000 --evaluate-every 2000
 
 test: .venv/ready  ## the tests, under 12 minutes on 2 cores
-	$(PYTEST) -n 2 --dist loadfile -m "not mjx and not slow and not cluster and not onnx and not trackers and not sb3 and not playground and not browser"
+	$(PYTEST) -n 2 --dist worksteal -m "not mjx and not slow and not cluster and not onnx and not trackers and not sb3 and not playground and not browser"
 
 test-slow: .venv/ready  ## every algorithm resumes, learns and goes in lockstep; training by Brax; lowering; experiments in full; about 20 minutes on 2 cores
 	XLA_FLAGS= $(PYTEST) -n 2 -m "slow and not mjx"

@@ -265,6 +265,7 @@ def test_a_run_that_was_cut_off_before_its_score_is_scored(mapg, monkeypatch):
     assert RunFolder.open("run").scored_steps() == 800
 
 
+@pytest.mark.slow
 def test_a3c_trains_resumes_and_is_scored(mapg, contents):
     status, out, err = mapg("train", "--preset", "smoke", "--algorithm", "a3c")
     assert status == 0, err
