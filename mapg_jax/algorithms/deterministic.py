@@ -16,6 +16,8 @@ from mapg_jax.algorithms.descent import Params, adam
 from mapg_jax.algorithms.head_options import HeadNumbers, meant
 from mapg_jax.algorithms.networks import Actor, Critic
 
+PROBES = 16  # actions of a state at which the scatter of Q is taken
+
 
 class LearnerState(struct.PyTreeNode):
     """All that an update changes."""
@@ -148,7 +150,8 @@ class Deterministic:
         _, values = self.proposals(learner, hyper, observation)
         if self.options.behaviour == "argmax-q":
             return heads_.best(values, hyper.heads)
-        return heads_.draw_by_value(key, values, hyper.temperature, hyper.heads)
+        temperature = hyper.temperature * self.scatter(learner, observation)
+        return heads_.draw_by_value(key, values, temperature, hyper.heads)
 
     def act(
         self,
@@ -218,9 +221,21 @@ class Deterministic:
             return jnp.where(heads_.in_use(hyper.heads, values.shape), values, -jnp.inf).max(-1)
         return heads_.mean(values, hyper.heads)
 
-    def strength(self, learner: Any, hyper: Any, q: Float[Array, "B"]) -> Strength:
-        """How strong the rules are that keep heads apart, by the scatter of Q over a batch."""
-        scatter = q.std()
+    def scatter(self, learner: Any, observation: Float[Array, "*B D"]) -> Float[Array, "*B"]:
+        r"""$\sigma(s)$, how much it matters at a state what is done there: the unit of the rules.
+
+        The standard deviation of $Q(s, a)$ over a uniform in [-1, 1], at the same few a always.
+        The scatter of Q over states would be another thing: where states differ in value more than
+        actions do, as in locomotion, a rule in its unit drowns what the critic says of actions.
+        """
+        shape = (PROBES, self.actor.action_size)
+        probes = jax.random.uniform(jax.random.key(0), shape, minval=-1.0, maxval=1.0)
+        actions = jnp.broadcast_to(probes, (*observation.shape[:-1], *shape))
+        return self.values(learner.critic, observation, actions).std(-1)
+
+    def strength(self, learner: Any, hyper: Any, observation: Float[Array, "B D"]) -> Strength:
+        """How strong the rules are that keep heads apart, by the mean scatter of a batch."""
+        scatter = self.scatter(learner, observation).mean()
         total = jnp.where(hyper.repulsion_updates > 0, hyper.repulsion_updates, jnp.inf)
         left = jnp.maximum(1 - learner.updates / total, 0.0)
         floor = self.options.floor or 0.0

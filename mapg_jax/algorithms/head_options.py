@@ -66,7 +66,7 @@ class HeadOptions(Options):
     )
     temperature: float = option(
         1.0,
-        "Of that softmax, in units of the standard deviation of Q over a state's heads.",
+        "Of that softmax, in units of the standard deviation of Q over the actions at the state.",
         above=0,
         of_heads=True,
     )
@@ -86,7 +86,7 @@ class HeadOptions(Options):
     )
     repulsion_weight: float = option(
         0.3,
-        "α of the repulsion, in units of the standard deviation of Q over a batch.",
+        "α of the repulsion, in units of the standard deviation of Q over the actions at a state.",
         at_least=0,
         of_heads=True,
     )
@@ -99,7 +99,7 @@ class HeadOptions(Options):
     floor: float | None = option(
         None,
         "A head is credited for what it adds to the heads before it, smoothed by this, in units of "
-        "the standard deviation of Q over a batch; none by default.",
+        "the standard deviation of Q over the actions at a state; none by default.",
         above=0,
         of_heads=True,
     )
@@ -110,7 +110,7 @@ DIVERSE: Mapping[str, Any] = {
     "hold": "episode",
     "head_spread": 1.0,
     "repulsion": "stein",
-    "repulsion_weight": 0.3,
+    "repulsion_weight": 0.5,
     "repulsion_updates": 500_000,  # half of the preset's
 }
 """The preset of that name, found by the trials in docs/heads.md."""
@@ -126,9 +126,9 @@ class HeadNumbers(struct.PyTreeNode):
     critic_learning_rate: jax.Array  # []
     noise_scale: jax.Array  # [], σ in the first environment
     noise_scale_last: jax.Array  # [], σ in the last one
-    temperature: jax.Array  # [], in standard deviations of Q over a state's heads
+    temperature: jax.Array  # [], in standard deviations of Q over actions
     hold: jax.Array  # [] i32 steps
-    repulsion_weight: jax.Array  # [], in standard deviations of Q over a batch
+    repulsion_weight: jax.Array  # [], in standard deviations of Q over actions
     repulsion_updates: jax.Array  # [] i32, until it is 0; 0 for never
 
 

@@ -34,22 +34,21 @@ def stored(head: Int[Array, "*B"], heads: int) -> Integer[Array, "*B"]:
 def draw_by_value(
     key: PRNGKeyArray,
     values: Float[Array, "*B M"],
-    temperature: Float[Array, ""],
+    temperature: Float[Array, "*B"],
     heads: Int[Array, ""],
 ) -> Int[Array, "*B"]:
-    r"""Heads drawn with $p_m \propto \exp(Q_m / (T \sigma))$; padding does not change the draw.
+    r"""Heads drawn with $p_m \propto \exp(Q_m / T)$; padding does not change the draw.
 
     Args:
       key: for one uniform number a state, which the sums of $p_m$ divide.
       values: $Q_m$.
-      temperature: T, in units of $\sigma$, the standard deviation of Q over the heads of a state.
+      temperature: T, in units of Q.
       heads: M.
     """
     mask = in_use(heads, values.shape)
     centred = values - mean(values, heads)[..., None]
-    sigma = jnp.sqrt(mean(jnp.square(centred), heads))[..., None]
     # Equal values, as of one head, are all as probable.
-    scaled = jnp.where(mask, centred / (temperature * sigma + 1e-12), -jnp.inf)
+    scaled = jnp.where(mask, centred / (temperature[..., None] + 1e-12), -jnp.inf)
     weight = jax.nn.softmax(scaled)
     below = jnp.cumsum(weight, -1) < jax.random.uniform(key, (*values.shape[:-1], 1))
     return jnp.minimum((below & mask).sum(-1), heads - 1)

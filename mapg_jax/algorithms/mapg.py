@@ -122,7 +122,7 @@ class Mapg(Deterministic):
             learner.critic_optimizer,
             hyper.critic_learning_rate,
         )
-        strength = self.strength(learner, hyper, critic.aux)
+        strength = self.strength(learner, hyper, batch.observation)
         actor = minimize(
             lambda params: (
                 self.actor_loss(params, critic.params, batch, hyper, strength, head_key),

@@ -139,7 +139,7 @@ class Td3(Deterministic):
             learner.critic_optimizer,
             hyper.critic_learning_rate,
         )
-        strength = self.strength(learner, hyper, critic.aux)
+        strength = self.strength(learner, hyper, batch.observation)
 
         def climb(networks: Networks):
             actor = minimize(

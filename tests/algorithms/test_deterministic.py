@@ -69,6 +69,23 @@ def test_heads_start_apart_by_their_biases_alone():
     oracles.assert_equal(far.actor["params"]["kernel"], near.actor["params"]["kernel"])
 
 
+class Known(Mapg):
+    """The critic is known: 3 a_0, and what the state is worth whatever is done."""
+
+    def values(self, critic, observation, actions):
+        return 100 * observation[..., :1] + 3 * actions[..., 0]
+
+
+def test_the_unit_of_the_rules_is_how_much_actions_matter():
+    """Of 3a the deviation over U(-1, 1) is 3 / √3; what a state is worth by itself has no part."""
+    algorithm = Known.make(oracles.TINY, 2)
+    observation = jnp.arange(10.0).reshape(5, 2)
+    scatter = np.asarray(algorithm.scatter(algorithm.init(jax.random.key(0), 2), observation))
+    np.testing.assert_allclose(scatter, scatter[0], rtol=1e-4)
+    # A deviation of 16 uniforms has a standard error of 11 %.
+    assert scatter[0] == pytest.approx(np.sqrt(3), rel=0.33)
+
+
 class TwoHumps(Mapg):
     """The critic is known: humps of height 1 at -0.6 and 0.6, equal at 0 but for a slight slope."""
 
@@ -90,7 +107,7 @@ def ends(steps: int = 600, **options) -> tuple[float, float]:
         learner = carry
         head_key, loss_key = jax.random.split(key)
         acted = batch._replace(extra=jax.random.randint(head_key, (32,), 0, 2))
-        strength = algorithm.strength(learner, hyper, jnp.array([0.0, 2.0]))  # of deviation 1
+        strength = algorithm.strength(learner, hyper, observation)
         actor = minimize(
             lambda p: (algorithm.actor_loss(p, None, acted, hyper, strength, loss_key), None),
             algorithm.optimizer,
@@ -118,14 +135,14 @@ def test_heads_that_start_together_end_on_one_hump(gradient):
 @pytest.mark.parametrize(
     "rule",
     [
-        {"repulsion": "stein", "repulsion_weight": 0.5, "repulsion_updates": 500},
+        {"repulsion": "stein", "repulsion_weight": 1.5, "repulsion_updates": 500},
         {
             "repulsion": "stein",
-            "repulsion_weight": 0.5,
+            "repulsion_weight": 1.5,
             "repulsion_updates": 500,
             "gradient": "all",
         },
-        {"repulsion": "inverse", "repulsion_weight": 0.5, "repulsion_updates": 500},
+        {"repulsion": "inverse", "repulsion_weight": 1.5, "repulsion_updates": 500},
     ],
 )
 def test_heads_that_repel_end_on_both_humps(rule):

@@ -118,17 +118,17 @@ def test_padding_changes_no_draw():
 
 @pytest.mark.parametrize("temperature", [0.5, 2.0])
 def test_heads_are_drawn_by_their_values(temperature):
-    """Chi-square against p ∝ exp(Q / Tσ) as above; heads that are padding change no draw."""
+    """Chi-square against p ∝ exp(Q / T) as above; heads that are padding change no draw."""
     values = np.array([0.3, -1.0, 0.9])
-    weight = np.exp(values / (temperature * values.std()))
+    weight = np.exp(values / temperature)
     expected = 60_000 * weight / weight.sum()
     drawn = []
     for padding in ([], [1e3, -1e3]):
         given = jnp.broadcast_to(
             jnp.asarray([*values, *padding], jnp.float32), (60_000, 3 + len(padding))
         )
-        key, limit = jax.random.key(0), jnp.float32(temperature)
-        drawn.append(np.asarray(heads.draw_by_value(key, given, limit, jnp.int32(3))))
+        key, wide = jax.random.key(0), jnp.full(60_000, temperature)
+        drawn.append(np.asarray(heads.draw_by_value(key, given, wide, jnp.int32(3))))
     np.testing.assert_array_equal(*drawn)
     counts = np.bincount(drawn[0], minlength=3)
     assert ((counts - expected) ** 2 / expected).sum() < oracles.chi_square_limit(3)
@@ -136,7 +136,7 @@ def test_heads_are_drawn_by_their_values(temperature):
 
 def test_one_head_is_drawn_whatever_it_is_worth():
     drawn = heads.draw_by_value(
-        jax.random.key(0), jnp.full((50, 4), 7.0), jnp.float32(1), jnp.int32(1)
+        jax.random.key(0), jnp.full((50, 4), 7.0), jnp.ones(50), jnp.int32(1)
     )
     assert not np.asarray(drawn).any()
 
