@@ -306,8 +306,8 @@ def test_the_order_is_that_of_the_protocol():
     assert counts[5] == 10 * len(plan.rules())
     # NAF on two tasks, the others on four, M = 1 and 10; and the marginal ratio of two of them
     counts = collections.Counter(config.algorithm for config in later)
-    small, restricted = 6 * 10, 2 * 5  # runs of an arm
-    assert len(several.runs(plan)) == 8 * (small + restricted)
+    small, restricted, one_is_best = 6 * 10, 2 * 5, 4 * 5  # runs of an arm
+    assert len(several.runs(plan)) == 8 * (small + restricted) + 3 * one_is_best
     for module in (several, reference):
         counts = counts - collections.Counter(config.algorithm for config in module.runs(plan))
     assert counts == {"mapg": 150, "naf": 20, "trpo": 60, "ppo": 60, "td3": 40, "sac": 40}
