@@ -11,6 +11,20 @@ from mapg_jax.reports.document import Table
 from mapg_jax.reports.plots import draw_shares
 from mapg_jax.training.config import Config
 
+GAUSSIAN: Mapping[str, Any] = {"noise": "gaussian", "noise_scale": 0.1}
+ARMS: Mapping[str, Mapping[str, Any]] = {
+    "DDPG": {**DDPG, **GAUSSIAN},
+    "M = 10": {**MAPG, **GAUSSIAN},
+    "diverse": {**MAPG, **GAUSSIAN, **DIVERSE},
+    "TD3": {"algorithm": "td3", **DDPG},
+    "TD3, M = 10": {"algorithm": "td3", **MAPG},
+    "TD3, diverse": {"algorithm": "td3", **MAPG, **DIVERSE},
+    "SAC": {"algorithm": "sac", **DDPG},
+    "SAC, M = 10": {"algorithm": "sac", **MAPG},
+}
+SHOWN = ("DDPG", "M = 10", "diverse")
+"""In the picture."""
+
 
 class Task(NamedTuple):
     """An environment, and what its runs have otherwise than the preset."""
@@ -21,12 +35,9 @@ class Task(NamedTuple):
     changes: Mapping[str, Any]
     steps: int | None = None
     """By default half of those of the tables."""
-    arms: tuple[str, ...] | None = None
-    """By default all."""
+    arms: tuple[str, ...] = tuple(ARMS)
 
 
-SHOWN = ("DDPG", "M = 10", "diverse")
-"""In the picture."""
 SMALL: Mapping[str, Any] = {"environments": 32, "batch_size": 256, "updates_per_step": 0.25}
 TASKS: Mapping[str, Task] = {
     "two_mode_bandit": Task("two_mode_bandit", (), 10, SMALL, 19_200),
@@ -42,24 +53,13 @@ TASKS: Mapping[str, Task] = {
     "hopper, restricted": Task("hopper", ("restricted=1.25",), 5, {}),
     "halfcheetah, restricted": Task("halfcheetah", ("restricted=0.25",), 5, {}),
 }
-GAUSSIAN: Mapping[str, Any] = {"noise": "gaussian", "noise_scale": 0.1}
-ARMS: Mapping[str, Mapping[str, Any]] = {
-    "DDPG": {**DDPG, **GAUSSIAN},
-    "M = 10": {**MAPG, **GAUSSIAN},
-    "diverse": {**MAPG, **GAUSSIAN, **DIVERSE},
-    "TD3": {"algorithm": "td3", **DDPG},
-    "TD3, M = 10": {"algorithm": "td3", **MAPG},
-    "TD3, diverse": {"algorithm": "td3", **MAPG, **DIVERSE},
-    "SAC": {"algorithm": "sac", **DDPG},
-    "SAC, M = 10": {"algorithm": "sac", **MAPG},
-}
 
 
 def runs(plan: Plan) -> list[Config]:
     """What is short first, of it what the picture shows; seed by seed, so that all grow."""
     wanted = []
     for place, (name, task) in enumerate(TASKS.items()):
-        for number, label in enumerate(task.arms or ARMS):
+        for number, label in enumerate(task.arms):
             short, shown = task.steps is not None, label in SHOWN
             wanted += [
                 ((not short, short and not shown, config.seed, place, number), config)
@@ -84,7 +84,7 @@ def arm(plan: Plan, name: str, label: str) -> list[Config]:
 def section(plan: Plan) -> str:
     """A table of what each arm finds, and a picture of the four goals."""
     found = {
-        name: {k: scores.of(plan, arm(plan, name, k)) for k in task.arms or ARMS}
+        name: {k: scores.of(plan, arm(plan, name, k)) for k in task.arms}
         for name, task in TASKS.items()
     }
     found = {name: {k: v for k, v in arms.items() if v} for name, arms in found.items()}

@@ -229,12 +229,15 @@ class Deterministic:
         actions do, as in locomotion, a rule in its unit drowns what the critic says of actions.
         """
         shape = (PROBES, self.actor.action_size)
-        probes = jax.random.uniform(jax.random.key(0), shape, minval=-1.0, maxval=1.0)
+        with jax.ensure_compile_time_eval():  # a constant of the program, not drawn at every update
+            probes = jax.random.uniform(jax.random.key(0), shape, minval=-1.0, maxval=1.0)
         actions = jnp.broadcast_to(probes, (*observation.shape[:-1], *shape))
         return self.values(learner.critic, observation, actions).std(-1)
 
     def strength(self, learner: Any, hyper: Any, observation: Float[Array, "B D"]) -> Strength:
         """How strong the rules are that keep heads apart, by the mean scatter of a batch."""
+        if self.options.repulsion == "none" and self.options.floor is None:
+            return Strength(jnp.zeros(()), jnp.zeros(()))  # the critic need not be asked
         scatter = self.scatter(learner, observation).mean()
         total = jnp.where(hyper.repulsion_updates > 0, hyper.repulsion_updates, jnp.inf)
         left = jnp.maximum(1 - learner.updates / total, 0.0)

@@ -17,10 +17,10 @@ from mapg_jax.training.config import Config
 N, STEPS = 6, 40
 
 
-def acted(**options) -> np.ndarray:
+def acted(kind=Mapg, **options) -> np.ndarray:
     """The heads that acted in N environments, [STEPS, N]; no episode ends."""
     config = dataclasses.replace(oracles.TINY, heads=5, **options)
-    algorithm, hyper = Mapg.make(config, 1), Mapg.hyper(config)
+    algorithm, hyper = kind.make(config, 1), kind.hyper(config)
 
     def step(explorer, key):
         explored = algorithm.explore(learner, hyper, explorer, jnp.ones((N, 2)), key)
@@ -76,6 +76,13 @@ class Known(Mapg):
         return 100 * observation[..., :1] + 3 * actions[..., 0]
 
 
+class Tenfold(Known):
+    """The same in another unit of reward."""
+
+    def values(self, critic, observation, actions):
+        return 10 * super().values(critic, observation, actions)
+
+
 def test_the_unit_of_the_rules_is_how_much_actions_matter():
     """Of 3a the deviation over U(-1, 1) is 3 / √3; what a state is worth by itself has no part."""
     algorithm = Known.make(oracles.TINY, 2)
@@ -84,6 +91,24 @@ def test_the_unit_of_the_rules_is_how_much_actions_matter():
     np.testing.assert_allclose(scatter, scatter[0], rtol=1e-4)
     # A deviation of 16 uniforms has a standard error of 11 %.
     assert scatter[0] == pytest.approx(np.sqrt(3), rel=0.33)
+
+
+@pytest.mark.parametrize("spread", [1.0, 1e-4])
+def test_heads_act_by_their_values_in_any_unit_of_reward(spread):
+    """Chi-square against p ∝ exp(Q / Tσ); where heads agree, that is as good as uniform."""
+    soft = {"behaviour": "softmax-q", "temperature": 0.3, "head_spread": spread}
+    drawn = acted(Known, **soft)
+    np.testing.assert_array_equal(drawn, acted(Tenfold, **soft))
+
+    config = dataclasses.replace(oracles.TINY, heads=5, **soft)
+    algorithm, state = Known.make(config, 1), jnp.ones((1, 2))
+    learner = algorithm.init(jax.random.key(0), 2)
+    _, values = algorithm.proposals(learner, Known.hyper(config), state)
+    weight = np.exp((values - values.mean())[0] / (0.3 * algorithm.scatter(learner, state)))
+    expected = drawn.size * weight / weight.sum()
+    assert (expected.max() / expected.min() < 1.1) == (spread < 1)
+    counts = np.bincount(drawn.ravel(), minlength=5)
+    assert ((counts - expected) ** 2 / expected).sum() < oracles.chi_square_limit(5)
 
 
 class TwoHumps(Mapg):
