@@ -37,3 +37,33 @@ def test_what_is_found_is_shown(plan):
     assert len(plotted) == 1 + 2 * 4 * 2  # two panels of four parts of two bars
     tops = [float(line.split(",")[3]) for line in plotted[1:]]
     assert tops == [1.0] * 8 + [0.25] * 2 + [0.5] * 2 + [0.75] * 2 + [1.0] * 2
+
+
+def test_what_keeping_heads_apart_costs_is_compared_once_every_task_has_both_arms(plan):
+    def add(name, label, values):
+        for config, score in zip(several.arm(plan, name, label), values, strict=False):
+            append_csv(scores.path(plan), [result(config, score)])
+
+    plan.results.mkdir(parents=True, exist_ok=True)
+    for name in several.ONE_BEST[1:]:
+        add(name, "DDPG", [1, 2])
+        add(name, "diverse", [3, 4])
+    assert "Where one action is the best" not in several.section(plan)
+    add("pendulum", "DDPG", [5, 6])
+    add("pendulum", "diverse", [3, 4])
+    text = several.section(plan)
+    line = next(x for x in text.splitlines() if x.startswith("| DDPG |"))
+    cells = [cell.split(" ")[0] for cell in line.strip("| ").split(" | ")]
+    # Of the 6⁴ = 1296 ways to rank two of four on four tasks, the sum of three best and one worst,
+    # or more: 1 has all best, 4 have one second-best place less, 10 two less, and so on.
+    tails = sum(_ways(4, 16 - lost) for lost in range(5))
+    assert cells == ["DDPG", "0.00", "1.00", "1.00", "1.00", "0.75", f"{2 * tails / 1296:.2g}"]
+    assert "| M = 10 | 0" not in text
+
+
+def _ways(tasks: int, total: int) -> int:
+    """In which the better pairs of two against two, summed over tasks, are so many."""
+    if tasks == 0:
+        return int(total == 0)
+    of_one = (0, 1, 2, 2, 3, 4)  # of the six ways to choose two ranks of four
+    return sum(_ways(tasks - 1, total - pairs) for pairs in of_one)
