@@ -224,10 +224,13 @@ class Peaks(nn.Module):
         peaks = jnp.tanh(_of_heads(self, "peaks_", x, self.action_size, bias_init))
         square = _of_heads(self, "cholesky_", x, self.action_size**2)
         square = square.reshape(*peaks.shape, self.action_size)
-        eye = jnp.expand_dims(jnp.eye(self.action_size), range(square.ndim - 2))
+        diagonal = jnp.eye(self.action_size, dtype=bool)
+        # Of the diagonal alone: beside it an exponential may overflow, and 0 times infinity is NaN.
+        positive = jnp.exp(jnp.where(diagonal, square, 0.0))
+        cholesky = jnp.where(diagonal, positive, jnp.tril(square, -1))
         zeros = nn.initializers.zeros
         height = nn.Dense(self.heads, name="height", kernel_init=zeros, bias_init=zeros)(x)
-        return level, peaks, jnp.tril(square, -1) + eye * jnp.exp(square), height
+        return level, peaks, cholesky, height
 
 
 class StateCritic(nn.Module):

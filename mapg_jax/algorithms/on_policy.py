@@ -51,7 +51,7 @@ class LearnerState(struct.PyTreeNode):
 
     actor: Params
     critic: Params
-    actor_optimizer: Any  # None where the actor has none
+    actor_optimizer: Any  # TRPO leaves it as it is
     critic_optimizer: optax.OptState
     returns: NormalizerState  # statistics of the returns; the critic's output is in their units
     updates: jax.Array  # [] i32

@@ -28,7 +28,7 @@ GradientRule = Literal["all", "stored"]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SacOptions(Options):
-    """The numbers of SAC, as its second paper and its code have them."""
+    """The numbers of SAC, as CleanRL has them."""
 
     actor_learning_rate: float = option(3e-4, "Of Adam, for the actor.", above=0)
     critic_learning_rate: float = option(1e-3, "Of Adam, for the critics.", above=0)

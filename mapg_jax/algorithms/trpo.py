@@ -20,8 +20,8 @@ from mapg_jax.algorithms.descent import Params
 from mapg_jax.algorithms.on_policy import Batch, LearnerState, OnPolicy, OnPolicyOptions
 from mapg_jax.algorithms.options import option
 
-HALVINGS = 10
-SHRINK = 0.8  # of the step, from try to try (Spinning Up)
+SHRINKINGS = 10  # of the step after the first try, each
+SHRINK = 0.8  # of the one before (Spinning Up)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -120,8 +120,8 @@ class Trpo(OnPolicy):
     ) -> Params:
         r"""The step $\sqrt{2\delta / x^\top F x}\, x$ with $F x = g$ (TRPO, Appendix C).
 
-        F, the Hessian of the divergence at 0, acts through a derivative of its gradient; x is found
-        by conjugate gradients.
+        F, the Hessian of the divergence at 0 with the damping on its diagonal, acts through a
+        derivative of its gradient; x is found by conjugate gradients.
         """
 
         def fisher(x: Params) -> Params:
@@ -150,7 +150,7 @@ class Trpo(OnPolicy):
             return ~((step.gain > 0) & (step.kl <= hyper.trust_region))
 
         def again(step: Step):
-            return bad(step) & (step.share > SHRINK ** (HALVINGS - 0.5))
+            return bad(step) & (step.share > SHRINK ** (SHRINKINGS - 0.5))
 
         last = jax.lax.while_loop(
             again, lambda step: attempt(SHRINK * step.share), attempt(jnp.ones(()))

@@ -1,8 +1,11 @@
 """NAF's peaks: the maximum of Q is at the highest; one peak is NAF, step by step."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 import slow_ddpg
 
 from mapg_jax.algorithms.base import Transition
@@ -39,12 +42,14 @@ def test_the_maximum_of_q_is_at_the_highest_peak():
 
 
 def test_peaks_start_equally_high_and_apart():
-    for heads, apart in ((1, 0.0), (8, 0.2)):
+    for heads in (1, 8):
         algorithm = Naf.make(NafOptions(heads=heads, hidden=(8, 8)), A)
         learner = jax.jit(algorithm.init, static_argnums=1)(jax.random.key(0), 3)
-        found = algorithm.landscape(learner.critic, jnp.ones((2, 3)))
+        found = algorithm.landscape(learner.critic, jnp.zeros((2, 3)))  # the biases alone
         assert not np.asarray(found.height).any()
-        assert np.asarray(found.peaks).std(1).max() >= apart
+        peaks = np.asarray(found.peaks)
+        assert 0 < np.abs(peaks[:, 0]).max() < 0.003
+        assert heads == 1 or peaks.std(1).max() >= 0.2
         diagonal = np.diagonal(np.asarray(found.cholesky), axis1=-2, axis2=-1)
         assert (diagonal > 0).all()
         assert not np.triu(np.asarray(found.cholesky), 1).any()
@@ -62,10 +67,15 @@ def make_batch(seed, size=12) -> Transition:
     )
 
 
-def test_one_peak_is_naf():
-    """Three updates against Q = V - ½ (a - μ)ᵀ L Lᵀ (a - μ) and Adam, written plainly."""
-    options = NafOptions(heads=1, hidden=(8, 8), learning_rate=1e-2, tau=0.1, discount=0.9)
-    algorithm, hyper = Naf.make(options, A), Naf.hyper(options)
+@pytest.mark.parametrize(("heads", "padded"), [(1, 1), (3, 5)])
+def test_an_update_is_nafs_of_the_highest_peak(heads, padded):
+    """Three updates against Q = max_m (v + β_m - ½ (a - μ_m)ᵀ L_m L_mᵀ (a - μ_m)), and Adam.
+
+    With one peak that is NAF.
+    """
+    options = NafOptions(heads=padded, hidden=(8, 8), learning_rate=1e-2, tau=0.1, discount=0.9)
+    algorithm = Naf.make(options, A)
+    hyper = Naf.hyper(dataclasses.replace(options, heads=heads))
     learner = jax.jit(algorithm.init, static_argnums=1)(jax.random.key(0), 3)
     leaves, tree = jax.tree.flatten(learner.critic)
     plain = target = dict(enumerate(leaves))
@@ -73,27 +83,48 @@ def test_one_peak_is_naf():
 
     def network(p, s):
         v, mean, cholesky, height = algorithm.critic.apply(jax.tree.unflatten(tree, p.values()), s)
-        return v + height[:, 0], mean[:, 0], cholesky[:, 0]
+        return v, mean[:, :heads], cholesky[:, :heads], height[:, :heads]
+
+    @jax.jit
+    def values(p, batch):
+        v, mean, cholesky, height = network(p, batch.observation)
+        each = []
+        for m in range(heads):
+            precision = cholesky[:, m] @ jnp.swapaxes(cholesky[:, m], 1, 2)
+            away = batch.action - mean[:, m]
+            each.append(v + height[:, m] - 0.5 * jnp.einsum("bi,bij,bj->b", away, precision, away))
+        return jnp.stack(each, 1)
 
     @jax.jit
     def gradient(p, target, batch):
-        y = batch.reward + 0.9 * (1 - batch.terminal) * network(target, batch.next_observation)[0]
-
-        def loss(p):
-            v, mean, cholesky = network(p, batch.observation)
-            precision = cholesky @ jnp.swapaxes(cholesky, 1, 2)
-            away = batch.action - mean
-            q = v - 0.5 * jnp.einsum("bi,bij,bj->b", away, precision, away)
-            return ((y - q) ** 2).mean()
-
-        return jax.grad(loss)(p)
+        v, _, _, height = network(target, batch.next_observation)
+        y = batch.reward + 0.9 * (1 - batch.terminal) * (v + height.max(1))
+        return jax.grad(lambda p: ((y - values(p, batch).max(1)) ** 2).mean())(p)
 
     for i in range(3):
         batch = make_batch(i)
+        reached = len(set(np.asarray(values(plain, batch)).argmax(1))) / heads
         learner, metrics = update(learner, hyper, batch, jax.random.key(i))
         plain = adam(plain, gradient(plain, target, batch))
         target = {k: 0.9 * target[k] + 0.1 * plain[k] for k in plain}
-        assert metrics.heads_reached == 1
+        assert float(metrics.heads_reached) == pytest.approx(reached)
     for found, expected in ((learner.critic, plain), (learner.critic_target, target)):
         for x, y in zip(jax.tree.leaves(found), expected.values(), strict=True):
             np.testing.assert_allclose(x, y, rtol=1e-3, atol=2e-5)
+
+
+def test_a_large_number_beside_the_diagonal_stays_one():
+    """Its exponential overflows; L and its gradient are finite, whichever triangle it is in."""
+    algorithm = Naf.make(NafOptions(heads=1, hidden=(8, 8)), A)
+    critic = jax.jit(algorithm.init, static_argnums=1)(jax.random.key(0), 3).critic
+    bias = critic["params"]["cholesky_bias"]
+
+    def given(x):
+        parameters = {**critic["params"], "cholesky_bias": jnp.reshape(x, bias.shape)}
+        return algorithm.landscape({"params": parameters}, jnp.zeros((1, 3))).cholesky[0, 0]
+
+    x = jnp.asarray([0.5, 95.0, 90.0, -1.0])
+    expected = [[np.exp(0.5), 0.0], [90.0, np.exp(-1.0)]]
+    np.testing.assert_allclose(given(x), expected, rtol=1e-5)
+    slope = jax.grad(lambda x: given(x).sum())(x)
+    np.testing.assert_allclose(slope, [np.exp(0.5), 0.0, 1.0, np.exp(-1.0)], rtol=1e-5)

@@ -17,6 +17,7 @@ from mapg_jax.algorithms.on_policy import Choice
 from mapg_jax.algorithms.ppo import Ppo, PpoOptions
 from mapg_jax.algorithms.returns import generalized_advantages
 from mapg_jax.algorithms.trpo import Trpo, TrpoOptions
+from mapg_jax.runs import contract
 from mapg_jax.training.config import Config
 
 T, N, D, A = 6, 4, 3, 2
@@ -183,8 +184,86 @@ def test_a_trpo_step_gains_within_the_trust_region():
     assert float(gain) == pytest.approx(float(metrics.gain), rel=1e-3)
 
 
+def test_one_head_is_trpo():
+    """One update: the dense solve, the first shrinking step that gains in the region, then V."""
+    options = dataclasses.replace(TRPO, heads=1, conjugate_steps=300)
+    algorithm, learner, hyper, given = setup(Trpo, options)
+    after, metrics = jax.jit(algorithm.update)(learner, hyper, given, jax.random.key(0))
+
+    seen, batch = algorithm.prepare(learner, hyper, given)
+    s, a = batch.observation, batch.choice.sample
+    gain = (batch.advantage - batch.advantage.mean()) / (batch.advantage.std() + 1e-8)
+    flat, unravel = ravel_pytree(learner.actor)
+    old_mean, old_log_std = (x[:, 0] for x in algorithm.actor.apply(learner.actor, s))
+
+    @jax.jit
+    def surrogate(x):
+        mean, log_std = (y[:, 0] for y in algorithm.actor.apply(unravel(x), s))
+        of = [
+            (-0.5 * ((a - m) / jnp.exp(log)) ** 2 - log).sum(1)
+            for m, log in ((mean, log_std), (old_mean, old_log_std))
+        ]
+        return (jnp.exp(of[0] - of[1]) * gain).mean()
+
+    @jax.jit
+    def kl(x):
+        mean, log_std = (y[:, 0] for y in algorithm.actor.apply(unravel(x), s))
+        ratio = jnp.exp(2 * (old_log_std - log_std))
+        gap = ((old_mean - mean) / jnp.exp(log_std)) ** 2
+        return (0.5 * (ratio + gap - 1 - jnp.log(ratio))).sum(1).mean()
+
+    fisher = np.asarray(jax.jit(jax.hessian(kl))(flat), np.float64) + 0.1 * np.eye(len(flat))
+    x = np.linalg.solve(fisher, np.asarray(jax.grad(surrogate)(flat), np.float64))
+    step = np.sqrt(2 * 0.01 / (x @ fisher @ x)) * x
+    share = next(
+        share
+        for share in 0.8 ** np.arange(11)
+        if surrogate(flat + share * step) > surrogate(flat) and kl(flat + share * step) <= 0.01
+    )
+    assert float(metrics.step) == pytest.approx(share)
+    moved, _ = ravel_pytree(after.actor)
+    np.testing.assert_allclose(
+        moved - flat, share * step, rtol=2e-2, atol=1e-3 * np.abs(step).max()
+    )
+
+    every = np.concatenate([[1.0, -1.0, 3.0], batch.returns])
+    target = (batch.returns - every.mean()) / every.std()
+    leaves, tree = jax.tree.flatten(learner.critic)
+    critic, adam = dict(enumerate(leaves)), slow_ddpg.Adam(1e-3)
+
+    @jax.jit
+    def slope(p):
+        def loss(p):
+            found = algorithm.critic.apply(jax.tree.unflatten(tree, p.values()), s)
+            return ((found - target) ** 2).mean()
+
+        return jax.grad(loss)(p)
+
+    for _ in range(TRPO.critic_steps):
+        critic = adam(critic, slope(critic))
+    for found, expected in zip(jax.tree.leaves(after.critic), critic.values(), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-3, atol=2e-6)
+    oracles.assert_equal(after.returns, seen.returns)
+
+
+@pytest.mark.parametrize("gradient", ["stored", pytest.param("marginal", marks=pytest.mark.slow)])
+def test_trpo_improves_every_head_where_the_best_action_is_known(gradient):
+    """A state s = ±1 and a reward of s · a: after 20 turns every mean is on the side of s."""
+    config = contract.tiny(
+        "trpo", environments=16, rollout_steps=32, critic_steps=10, gradient=gradient
+    )
+    trainer = oracles.make_trainer(oracles.Side(), 1, config)
+    begun = trainer.jitted_init(0)
+    returns = []
+    for state in (begun, trainer.jitted_run(trainer.jitted_init(0), 20)):
+        proposals, _ = trainer.agent.proposals(state.agent, jnp.asarray([[1.0], [-1.0]]))
+        returns.append(proposals[:, :, 0] * jnp.asarray([[1.0], [-1.0]]))
+    assert np.abs(returns[0]).max() < 0.2
+    assert np.min(returns[1]) > 0.5
+
+
 def test_the_heads_divergence_is_the_closed_form_and_bounds_the_mixtures():
-    """KL of Gaussians by SciPy-free algebra; the mixture's by a sum over 200,000 samples."""
+    """KL of Gaussians by SciPy-free algebra; the mixture's by a sum over 96,000 samples."""
     algorithm, learner, hyper, given = setup(Trpo, TRPO)
     other = jax.tree.map(lambda x: x + 0.1, learner.actor)
     _, batch = algorithm.prepare(learner, hyper, given)

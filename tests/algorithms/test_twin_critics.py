@@ -159,6 +159,86 @@ def test_one_component_is_sac():
     jax.tree.map(CLOSE, found, (actor, critic, target, log_alpha))
 
 
+APART = {**SHARED, "heads": 3, "head_spread": 1.0}
+
+
+def steeper(critic):
+    """Its values are some hundred times as large as at the start, where all are near 0."""
+    return jax.tree.map(lambda x: 5.0 * x, critic)
+
+
+def of_each_head(algorithm, critic, s, actions):
+    """The smaller of both values of every proposal, one at a time, [B, M]."""
+    each = [jnp.minimum(*twin(algorithm, critic, s, actions[:, m])) for m in range(3)]
+    return jnp.stack(each, 1)
+
+
+@pytest.mark.parametrize("target", ["mean", "max", "sampled"])
+def test_td3s_target_is_the_smaller_value_of_a_head_and_then_over_heads(target):
+    """Noise for each proposal; the critics are other networks, so that the order matters."""
+    options = Td3Options(**APART, target=target)
+    algorithm, learner, hyper = begun(Td3, options)
+    learner = learner.replace(critic_target=steeper(learner.critic_target))
+    s, key = make_batch(0).next_observation, jax.random.key(1)
+    found = np.asarray(jax.jit(algorithm.next_value)(learner, hyper, s, key))
+    proposals = algorithm.actor.apply(learner.actor_target, s)
+    if target == "sampled":  # one noise for the one that is drawn; which it was is not told
+        noise = 0.2 * heads.normal(jax.random.split(key)[1], (B, 1, A))
+    else:
+        noise = 0.2 * heads.normal(jax.random.split(key)[1], (B, 3, A))
+    actions = jnp.clip(proposals + jnp.clip(noise, -0.5, 0.5), -1, 1)
+    values = np.asarray(of_each_head(algorithm, learner.critic_target, s, actions))
+    if target == "sampled":
+        nearest = np.abs(values - found[:, None]).argmin(1)
+        CLOSE(found, values[np.arange(B), nearest])
+        assert len(set(nearest)) == 3
+        return
+    over = {"mean": np.mean, "max": np.max}[target]
+    CLOSE(found, over(values, axis=1))
+    one, two = (
+        np.stack([twin(algorithm, learner.critic_target, s, actions[:, m])[i] for m in range(3)])
+        for i in range(2)
+    )
+    other = np.minimum(over(one, axis=0), over(two, axis=0))  # over heads first
+    assert np.abs(other - found).max() > 1e-3
+
+
+@pytest.mark.parametrize("gradient", ["all", "stored"])
+def test_sacs_losses_are_means_over_samples_of_every_component(gradient):
+    """Target, loss and gradient against the mixture's density written out."""
+    algorithm, learner, hyper = begun(Sac, SacOptions(**APART, gradient=gradient))
+    critic, critic_target = steeper(learner.critic), steeper(learner.critic_target)
+    learner = learner.replace(
+        critic=critic, critic_target=critic_target, log_temperature=jnp.float32(-1.0)
+    )
+    batch, key = make_batch(0, acting=3), jax.random.key(1)
+
+    def soft(actor, critic, s):
+        mean, log_std = algorithm.actor.apply(actor, s)
+        raw = mean + jnp.exp(log_std) * heads.normal(key, (B, 3, A))
+        each = []
+        for m in range(3):
+            far = (raw[:, m, None] - mean) / jnp.exp(log_std)  # of sample m, from every component
+            normal = jnp.exp(-0.5 * far**2) / jnp.exp(log_std) / jnp.sqrt(2 * jnp.pi)
+            slope = (1 - jnp.tanh(raw[:, m]) ** 2).prod(1)
+            each.append(jnp.log(normal.prod(2).mean(1) / slope))
+        values = of_each_head(algorithm, critic, s, jnp.tanh(raw))
+        return jnp.exp(-1.0) * jnp.stack(each, 1) - values
+
+    found = jax.jit(algorithm.next_value)(learner, hyper, batch.next_observation, key)
+    CLOSE(found, -soft(learner.actor, learner.critic_target, batch.next_observation).mean(1))
+
+    def slow(actor):
+        each = soft(actor, learner.critic, batch.observation)
+        return (each[jnp.arange(B), batch.extra] if gradient == "stored" else each).mean()
+
+    def ours(actor):
+        return algorithm.actor_loss(actor, learner, learner.critic, batch, hyper, key)[0]
+
+    found, expected = (jax.jit(jax.value_and_grad(f))(learner.actor) for f in (ours, slow))
+    jax.tree.map(CLOSE, found, expected)
+
+
 @pytest.mark.parametrize(
     ("kind", "options"),
     [

@@ -55,9 +55,19 @@ def test_every_algorithm_is_judged_at_holms_level(plan):
 
 def test_c10_waits_for_both_that_the_paper_names(plan):
     write_arms(plan, "naf", 10.0)
-    assert carryover.together(plan).verdict == "not yet: 0 of 40 runs"
+    assert carryover.together(plan).verdict == "not yet: 20 of 60 runs"
     write_arms(plan, "trpo", 10.0)
     assert carryover.together(plan).verdict == "supported"
+
+
+def test_an_algorithm_that_lacks_runs_counts_as_p_1(plan):
+    write_arms(plan, "naf", 10.0)
+    write_arms(plan, "trpo", -10.0, seeds=4)
+    naf, trpo = carryover.ledger(plan)[:2]
+    p = 2 / 252**2
+    assert naf.evidence == f"p = {p:.2g}, adjusted {5 * p:.2g}"
+    assert (trpo.verdict, trpo.effect, trpo.evidence) == ("not yet: 32 of 40 runs", "", "")
+    assert carryover.together(plan).verdict == "not yet: 52 of 60 runs"
 
 
 def test_few_seeds_decide_nothing(plan):
