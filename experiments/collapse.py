@@ -56,11 +56,11 @@ def section(plan: Plan) -> str:
 
 ARGUMENT = """The head is drawn apart from the state, so the objective is the mean over m of the
 mean of $Q(s, \\rho_m(s))$: a sum of M equal terms, each largest where its head takes the best
-action. Nothing in it rewards a difference. What is left at the end comes from four things that
+action. Nothing in it rewards a difference. What is left at the end may come from four things that
 these arms vary: which heads a sample moves (`all` gives every head the same samples), where the
-heads start, the noise of minibatches (a tenth of the actor's step size leaves less of it), and
-heads without a sample: of M = 50 in a batch of 64, $(1 - 1/50)^{64}$ = 27 % have none, and Adam
-moves them on by its momentum; in a batch of 512 almost none."""
+heads start, the noise of minibatches (if it kept them apart, a tenth of the actor's step size would
+leave less), and heads without a sample: of M = 50 in a batch of 64, $(1 - 1/50)^{64}$ = 27 % have
+none, and Adam moves them on by its momentum; in a batch of 512 almost none."""
 
 
 def table(tasks) -> Table:
