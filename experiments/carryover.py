@@ -127,7 +127,8 @@ def ledger(plan: Plan) -> list[Verdict]:
 def test(plan: Plan, comparison: Comparison) -> Test | None:
     """Over the tasks together; None while runs are missing, or where a task lacks an arm."""
     pairs = comparison.pairs(plan)
-    if waiting(plan, comparison.runs(plan)) or len(pairs) < len(comparison.envs):
+    lacking = not pairs or len(pairs) < len(comparison.envs)
+    if lacking or waiting(plan, comparison.runs(plan)):
         return None
     return van_elteren(list(pairs.values()))
 
