@@ -1,6 +1,6 @@
 """Where several actions pay, and what they cost: where several are good, and where one is."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +11,6 @@ from mapg_jax.algorithms.head_options import DIVERSE
 from mapg_jax.reports import inference as statistics
 from mapg_jax.reports.document import Table
 from mapg_jax.reports.plots import draw_shares
-from mapg_jax.reports.results import Result
 from mapg_jax.reports.stratified import effect, van_elteren
 from mapg_jax.training.config import Config
 
@@ -44,8 +43,6 @@ class Task(NamedTuple):
     arms: tuple[str, ...] = tuple(ARMS)
 
 
-Found = Mapping[str, Mapping[str, list[Result]]]
-"""Results by task and arm."""
 SMALL: Mapping[str, Any] = {"environments": 32, "batch_size": 256, "updates_per_step": 0.25}
 TASKS: Mapping[str, Task] = {
     "two_mode_bandit": Task("two_mode_bandit", (), 10, SMALL, 19_200),
@@ -102,15 +99,15 @@ def section(plan: Plan) -> str:
     lines = []
     for name, arms in found.items():
         for label, results in arms.items():
-            score = f"{statistics.mean(_scores(results)):.2f}"
-            lines.append([name, label, score, *_ends(results)])
+            score = [result.return_mean for result in results]
+            lines.append([name, label, f"{statistics.mean(score):.2f}", *_ends(results)])
     header = ("task", "arm", "score", "ends reached", "entropy of behaviour", "seeds")
     text = (
         "Score: mean return of 100 episodes of the last policy, a head drawn uniformly and held as "
         "it was in training. Ends reached: how many of the goals or optima those episodes find. "
         "Means with 95 % intervals over seeds.\n\n" + Table(header, lines).markdown()
     )
-    if costs := _costs(found):
+    if costs := _costs(plan):
         text += (
             "\n\nWhere one action is the best: the probability that a run of `diverse` scores "
             "above one of another arm, 0.5 if it costs nothing, and van Elteren's two-sided test "
@@ -133,23 +130,20 @@ def section(plan: Plan) -> str:
     return text
 
 
-def _costs(found: Found) -> list[list[str]]:
+def _costs(plan: Plan) -> list[list[str]]:
     """A line for each arm that `diverse` is compared with, once all four tasks have both."""
+
+    def of(label: str) -> list[np.ndarray]:
+        return [scores.means(plan, arm(plan, name, label)) for name in ONE_BEST]
+
     lines = []
     for label in ("DDPG", "M = 10"):
-        pairs = [
-            (_scores(found.get(name, {}).get("diverse")), _scores(found.get(name, {}).get(label)))
-            for name in ONE_BEST
-        ]
+        pairs = list(zip(of("diverse"), of(label), strict=True))
         if all(len(ours) and len(theirs) for ours, theirs in pairs):
             effects = [*(effect([pair]) for pair in pairs), effect(pairs)]
             p = van_elteren(pairs).either
             lines.append([label, *(f"{estimate:.2f}" for estimate in effects), f"{p:.2g}"])
     return lines
-
-
-def _scores(results: Sequence[Result] | None) -> np.ndarray:
-    return np.array([result.return_mean for result in results or ()])
 
 
 def _shares(metrics: Mapping[str, float]) -> list[float]:

@@ -54,8 +54,8 @@ def test_what_keeping_heads_apart_costs_is_compared_once_every_task_has_both_arm
     text = several.section(plan)
     line = next(x for x in text.splitlines() if x.startswith("| DDPG |"))
     cells = [cell.split(" ")[0] for cell in line.strip("| ").split(" | ")]
-    # Of the 6⁴ = 1296 ways to rank two of four on four tasks, the sum of three best and one worst,
-    # or more: 1 has all best, 4 have one second-best place less, 10 two less, and so on.
+    # `diverse` is above in 12 of 16 pairs: of the 6⁴ = 1296 ways to rank two of four on each of
+    # four tasks, those with as many or more.
     tails = sum(_ways(4, 16 - lost) for lost in range(5))
     assert cells == ["DDPG", "0.00", "1.00", "1.00", "1.00", "0.75", f"{2 * tails / 1296:.2g}"]
     assert "| M = 10 | 0" not in text
