@@ -20,7 +20,7 @@ from mapg_jax.runs.checkpoints import Checkpoints
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.sealing import write_score
 from mapg_jax.runs.train import begin
-from mapg_jax.training import trainer
+from mapg_jax.training import replay, trainer
 from mapg_jax.training.agent import Agent, make_agent
 from mapg_jax.training.config import Config
 from mapg_jax.training.state import TrainState
@@ -151,7 +151,9 @@ def untrained_run(config: Config, path: pathlib.Path) -> RunFolder:
     run = begin(config, path)
     state = run.trainer.jitted_init(config.seed)
     if state.replay is not None:
-        state = state.replace(replay=state.replay.replace(size=jnp.int32(1)))
+        one = jnp.int32(1)
+        full = state.replay.replace(position=one, size=one, rows=one)
+        state = state.replace(replay=full)
     run.members[0].begin_to_save(state, 0.0)
     run.members[0].checkpoints.wait()
     return run.folder
@@ -168,8 +170,10 @@ def assert_equal(got, expected) -> None:
 
 
 def stored(state: TrainState) -> Transition:
-    """The transitions in the replay, in the order of the slots."""
-    return jax.tree.map(lambda x: np.asarray(x)[: int(state.replay.size)], state.replay.data)
+    """The transitions in the replay, the oldest first."""
+    ring = state.replay
+    slots = (ring.position - ring.size + jnp.arange(int(ring.size))) % replay.capacity(ring)
+    return jax.tree.map(np.asarray, replay.read(ring, slots))
 
 
 # ----- runs that were trained

@@ -27,7 +27,7 @@ class Transition(NamedTuple):
     action: jax.Array  # [A], executed, in [-1, 1]
     reward: jax.Array  # []
     terminal: jax.Array  # [] bool, no bootstrap
-    next_observation: jax.Array  # [D], before any reset
+    next_observation: jax.Array  # [D], before any reset; of a terminal step from replay, its own
 
 
 class Rollout(NamedTuple):

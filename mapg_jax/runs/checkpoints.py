@@ -268,7 +268,8 @@ class Checkpoints:
         empty = bool(lacking) and lacking == {x for x in expected if x.startswith(".replay.data")}
         if set(digests) - set(expected) or (lacking and not empty):
             raise ValueError(
-                f"{self.path.parent}: the checkpoint is of another configuration, or engine"
+                f"{self.path.parent}: the checkpoint's {part} is of another configuration, engine "
+                "or version of mapg-jax"
             )
         for name in digests:
             shape, ours = tuple(digests[name]["shape"]), expected[name].shape

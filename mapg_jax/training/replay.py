@@ -1,72 +1,173 @@
-"""A ring buffer of transitions, as data and functions."""
+"""A ring of transitions that holds each observation once, as data and functions.
 
-from typing import Any
+What one step leads to is what the next one begins with, so steps hold rows of a second ring, of
+observations. Each turn of N environments takes N rows there, and one more for each episode that is
+cut off at its time limit: what it observed last is no other step's beginning. A terminal step leads
+nowhere, and has its own observation in that place.
+"""
+
+import math
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jaxtyping import Array, Bool, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-Items = Any
-"""A tree of arrays with equal leading axes."""
+from mapg_jax.algorithms.base import Transition
+
+
+class Data(NamedTuple):
+    """What fills up."""
+
+    steps: Transition  # leaves [C, ...]; both observations are rows, [C] i32
+    observations: jax.Array  # [R, D]
 
 
 class ReplayState(struct.PyTreeNode):
-    """The slots and where the next item goes."""
+    """Both rings, and how far they are filled."""
 
-    data: Items  # leaves [C, ...]
+    data: Data
     position: jax.Array  # [] i32, the slot written next
-    size: jax.Array  # [] i32, slots filled
+    size: jax.Array  # [] i32, the steps before it that are held
+    row: jax.Array  # [] i32, the row that the first environment's present observation takes
+    rows: jax.Array  # [] i32, rows filled
 
 
 def capacity(state: ReplayState) -> int:
-    """C, the number of slots."""
-    return jax.tree.leaves(state.data)[0].shape[0]
+    """C, the number of slots, of all shards together."""
+    return math.prod(state.data.steps.reward.shape)
 
 
-def init(item: Items, slots: int) -> ReplayState:
-    """An empty ring for `slots` items shaped like `item`."""
-    data = jax.tree.map(lambda x: jnp.zeros((slots, *jnp.shape(x)), jnp.result_type(x)), item)
-    return ReplayState(data, jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32))
+def bytes_of_a_step(state: ReplayState) -> int:
+    """What one takes where it is read, with both observations."""
+    observation = state.data.observations
+    leaves = jax.tree.leaves(state.data.steps._replace(observation=(), next_observation=()))
+    rest = sum(leaf.size * leaf.dtype.itemsize for leaf in leaves) // capacity(state)
+    return rest + 2 * observation.shape[-1] * observation.dtype.itemsize
 
 
-def add(state: ReplayState, items: Items, kept: Bool[Array, "N"]) -> ReplayState:
-    """The ring with those of N items that are kept, in order, each over the oldest once it is full.
+def init(steps: Transition, slots: int, limit: int) -> ReplayState:
+    """Empty rings.
 
     Args:
-      state: the ring.
-      items: leaves [N, ...], N at most the number of slots.
-      kept: which of them.
+      steps: one of each environment, leaves [N, ...], for their shapes and types.
+      slots: C, the steps to hold.
+      limit: of an episode's steps. R = C + 2N + (C + N) / limit: the C newest steps keep their
+        observations, however their episodes end.
     """
-    slots = capacity(state)
-    n = len(kept)
+    n = len(steps.reward)
+    rows = slots + 2 * n + math.ceil((slots + n) / limit)
+    row = jnp.zeros(n, jnp.int32)
+    of_steps = jax.tree.map(
+        lambda x: jnp.zeros((slots, *x.shape[1:]), x.dtype),
+        steps._replace(observation=row, next_observation=row),
+    )
+    observation = steps.observation
+    observations = jnp.zeros((rows, *observation.shape[1:]), observation.dtype)
+    zero = jnp.zeros((), jnp.int32)
+    return ReplayState(Data(of_steps, observations), zero, zero, zero, zero)
+
+
+def add(
+    state: ReplayState,
+    steps: Transition,
+    ended: Bool[Array, "N"],
+    upcoming: Float[Array, "N D"],
+    kept: Bool[Array, "N"],
+) -> ReplayState:
+    """The rings with one step of every environment, in order, each over the oldest once it is full.
+
+    Args:
+      state: the rings.
+      steps: leaves [N, ...], N at most C.
+      ended: which of them ended their episodes.
+      upcoming: the observations that the next steps begin with.
+      kept: which of the steps are. Where more are left out than R has rows to spare, the oldest
+        steps go before C newer ones are there.
+    """
+    slots, rows, n = capacity(state), len(state.data.observations), len(kept)
     if n > slots:
-        raise ValueError(f"{n} items do not fit {slots} slots")
+        raise ValueError(f"{n} steps do not fit {slots} slots")
+    lane = jnp.arange(n, dtype=jnp.int32)
+    cut = ended & ~steps.terminal & kept
+    now = state.row + lane
+    last = state.row + n + jnp.cumsum(cut) - 1
+    following = state.row + n + cut.sum()
+    after = jnp.where(steps.terminal, now, jnp.where(cut, last, following + lane))
+
+    # The upcoming are written already, for who samples them before they are acted on. What is
+    # acted on is written again: it is another where the environments, or the rings, began anew.
+    observations = _put(
+        state.data.observations,
+        jnp.concatenate([now % rows, jnp.where(cut, last % rows, rows + lane), 
+                         (following + lane) % rows]),
+        jnp.concatenate([steps.observation, steps.next_observation, upcoming]),
+    )  # fmt: skip
     place = (state.position + jnp.cumsum(kept) - 1) % slots
-    index = jnp.where(kept, place, slots + jnp.arange(n))  # past the end: dropped
+    place = jnp.where(kept, place, slots + lane)
+    of_steps = steps._replace(observation=now % rows, next_observation=after % rows)
+    of_steps = jax.tree.map(lambda old, new: _put(old, place, new), state.data.steps, of_steps)
 
-    def put(old, new):
-        return old.at[index].set(new.astype(old.dtype), mode="drop", unique_indices=True)
+    count = kept.sum()
+    position, size = (state.position + count) % slots, jnp.minimum(state.size + count, slots)
+    ahead = jnp.arange(2 * n)
+    oldest = of_steps.observation[(position - size + ahead) % slots]
+    lost = (oldest - state.row - n) % rows < following - state.row
+    return ReplayState(
+        data=Data(of_steps, observations),
+        position=position,
+        size=size - (lost & (ahead < size - count)).sum(),
+        row=following % rows,
+        rows=jnp.clip(following + n, state.rows, rows),
+    )
 
-    data = jax.tree.map(put, state.data, items)
-    n = kept.sum()
-    return ReplayState(data, (state.position + n) % slots, jnp.minimum(state.size + n, slots))
+
+def _put(old: jax.Array, index: Int[Array, "K"], new: jax.Array) -> jax.Array:
+    """`old` with rows written, but for those past its end."""
+    return old.at[index].set(new.astype(old.dtype), mode="drop", unique_indices=True)
 
 
-def sample(state: ReplayState, key: PRNGKeyArray, n: int) -> Items:
-    """`n` items drawn uniformly with replacement; at least one slot must be filled."""
+def read(state: ReplayState, index: Int[Array, "K"]) -> Transition:
+    """The steps in some slots."""
+    steps, observations = state.data
+    found = jax.tree.map(lambda x: x[index], steps)
+    return found._replace(
+        observation=observations[found.observation],
+        next_observation=observations[found.next_observation],
+    )
+
+
+def sample(state: ReplayState, key: PRNGKeyArray, n: int) -> Transition:
+    """`n` steps drawn uniformly with replacement; at least one must be held."""
     index = jax.random.randint(key, (n,), 0, state.size)
-    return jax.tree.map(lambda x: x[index], state.data)
+    return read(state, (_first(state) + index) % capacity(state))
+
+
+def _first(state: ReplayState) -> Int[Array, "*S"]:
+    """A slot from which on `size` slots are held: 0 where all are."""
+    slots = state.data.steps.reward.shape[-1]
+    return jnp.where(state.size == slots, 0, (state.position - state.size) % slots)
 
 
 def emptied(state: ReplayState) -> ReplayState:
-    """The ring, or one a shard, as if nothing had been added."""
-    return state.replace(position=jnp.zeros_like(state.position), size=jnp.zeros_like(state.size))
+    """The rings, or those a shard, as if nothing had been added."""
+    zero = jnp.zeros_like(state.position)
+    return state.replace(position=zero, size=zero, row=zero, rows=zero)
+
+
+def cut_off(state: ReplayState, environments: int) -> ReplayState:
+    """The rings, or those a shard, before new episodes: what the old observed last stays."""
+    rows = state.data.observations.shape[-2]
+    return state.replace(row=(state.row + environments) % rows)
 
 
 def trim(state: ReplayState) -> ReplayState:
-    """The ring, or one a shard [S, ...], without slots that are empty in all, on the host."""
-    size, shards = np.max(state.size), np.ndim(state.size)
-    filled = (*(slice(None),) * shards, slice(int(size)))
-    return state.replace(data=jax.tree.map(lambda x: np.asarray(x)[filled], state.data))
+    """The rings, or those a shard [S, ...], without what is empty in all, on the host."""
+    shards = (slice(None),) * np.ndim(state.size)
+    slots = np.where(_first(state) == 0, state.size, state.data.steps.reward.shape[-1]).max()
+    rows = np.max(state.rows) if slots else 0
+    steps = jax.tree.map(lambda x: np.asarray(x)[*shards, :slots], state.data.steps)
+    observations: Any = np.asarray(state.data.observations)[*shards, :rows]
+    return state.replace(data=Data(steps, observations))

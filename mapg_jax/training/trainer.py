@@ -12,6 +12,7 @@ import envs
 from envs.base import Episodes
 from mapg_jax.algorithms import shards
 from mapg_jax.algorithms.base import Transition
+from mapg_jax.training import replay
 from mapg_jax.training.agent import Agent, AgentState, hyperparameters, make_agent
 from mapg_jax.training.config import Config
 from mapg_jax.training.layout import Layout, most_devices
@@ -84,6 +85,9 @@ class Trainer:
         keys = jax.random.split(jax.random.fold_in(state.key, 0), n)
         fresh = jax.vmap(self.env.reset)(keys), self.agent.algorithm.explorer(n)
         env, explorer = jax.tree.map(jnp.copy, fresh)  # each buffer is donated, once
+        if state.replay is not None:
+            of_shard = n // self.layout.shards
+            state = state.replace(replay=replay.cut_off(state.replay, of_shard))
         return state.replace(
             env=self._by_shard(env),
             explorer=self._by_shard(explorer),

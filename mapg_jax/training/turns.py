@@ -84,9 +84,9 @@ class ReplayTurn:
             terminal=state.env.done > 0.5,
             next_observation=observation,
         )
-        item = jax.tree.map(lambda x: jnp.zeros(x.shape[1:], x.dtype), transition)
+        slots = self.config.replay_size // self.config.shards
         return state.replace(
-            replay=replay.init(item, self.config.replay_size // self.config.shards),
+            replay=replay.init(transition, slots, self.config.episode_steps()),
             update_credit=jnp.zeros((), jnp.int32),
         )
 
@@ -98,15 +98,15 @@ class ReplayTurn:
 
     def bytes(self, state: TrainState) -> int:
         """Of the batches of its updates."""
-        of_one = tree_bytes(state.replay) / self.config.replay_size
-        return math.ceil(self.most_updates * self.config.batch_size * of_one)
+        steps = self.most_updates * self.config.batch_size
+        return steps * replay.bytes_of_a_step(state.replay)
 
     def collect(self, state: TrainState, key: PRNGKeyArray) -> TrainState:
         """One step of every environment, stored where it is finite."""
         state = state.replace(agent=self.agent.see(state.agent, jnp.asarray(state.env.obs)))
-        state, transition, _ = self.step(state, key)
-        whole = ~state.env.info["broken"]
-        return state.replace(replay=replay.add(state.replay, transition, whole))
+        state, transition, ended = self.step(state, key)
+        upcoming, whole = jnp.asarray(state.env.obs), ~state.env.info["broken"]
+        return state.replace(replay=replay.add(state.replay, transition, ended, upcoming, whole))
 
     def _has_enough(self, state: TrainState) -> Bool[Array, ""]:
         """Whether there is enough to begin, also after a run that was saved without its replay."""

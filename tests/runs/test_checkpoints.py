@@ -51,14 +51,17 @@ def test_empty_arrays_come_back(trainer, states, tmp_path):
 
 
 def test_only_filled_slots_are_written(states, tmp_path):
-    for state, filled in zip(states, (20, 1000), strict=True):
+    for state in states:
+        slots = min(int(state.env_steps), 1000)
         Checkpoints(tmp_path / "checkpoints", kept=1).save(state, {})
         path = tmp_path / "checkpoints" / str(state.env_steps) / "rest"
         with ocp.StandardCheckpointer() as checkpointer:
             stored = checkpointer.restore(path)
         names = [name for name in stored if name.startswith(".replay.data")]
         assert len(names) == len(jax.tree.leaves(state.replay.data))
-        assert all(len(stored[name]) == filled for name in names)
+        filled = {name: len(stored[name]) for name in names}
+        assert filled.pop(".replay.data.observations") == int(state.replay.rows) >= slots
+        assert set(filled.values()) == {slots}
 
 
 def test_what_is_written_is_what_was_there_when_it_began(trainer, states, tmp_path):

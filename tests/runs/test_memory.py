@@ -9,15 +9,15 @@ from mapg_jax.training.config import Config
 
 
 def test_what_does_not_fit_is_refused_before_anything_is_allocated(tmp_path, monkeypatch):
-    monkeypatch.setattr(memory, "available_bytes", lambda: 5_000_000_000)
+    monkeypatch.setattr(memory, "available_bytes", lambda: 2_500_000_000)
     config = Config(env="humanoid")
     arrays = len(jax.live_arrays())
-    message = r"needs 5\.7 GB, .*1,000,000 transitions.* 5\.0 GB are available.*--replay-size"
+    message = r"needs 3\.0 GB, .*1,000,000 transitions.* 2\.5 GB are available.*--replay-size"
     with pytest.raises(ValueError, match=message):
         begin(config, tmp_path / "run")
     assert len(jax.live_arrays()) == arrays
     assert not list(tmp_path.iterdir())
-    monkeypatch.setattr(memory, "available_bytes", lambda: 6_000_000_000)
+    monkeypatch.setattr(memory, "available_bytes", lambda: 3_100_000_000)
     memory.prepare(config)
 
 

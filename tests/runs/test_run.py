@@ -130,7 +130,7 @@ def test_a_run_saved_without_its_replay_fills_it_before_it_learns(tmp_path, capl
     half.go()
     state = oracles.newest_state(half.folder)
     assert (int(state.replay.size), int(state.replay.position)) == (0, 0)
-    assert not np.any(state.replay.data.reward)
+    assert not np.any(state.replay.data.steps.reward)
     updates = int(state.agent.learner.updates)
     take_up(half.folder.path, steps=504).go()
     a_turn = 4 * 0.5

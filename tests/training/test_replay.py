@@ -1,6 +1,7 @@
-"""The ring against a deque, and its draws against the uniform distribution."""
+"""The rings against a deque of whole steps, and their draws against the uniform distribution."""
 
 import collections
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -8,90 +9,179 @@ import numpy as np
 import oracles
 import pytest
 
+from mapg_jax.algorithms.base import Transition
 from mapg_jax.training import replay
 
-
-@jax.jit
-def add(state, items):
-    """All of them."""
-    return replay.add(state, items, jnp.ones(len(jax.tree.leaves(items)[0]), bool))
-
-
-def items(start, n):
-    """n items that can be told apart, with leaves of two shapes and types."""
-    count = jnp.arange(start, start + n)
-    return {"a": count, "b": jnp.stack([count, -count], 1).astype(jnp.float32)}
+N = 3
+LIMIT = 4
+add = jax.jit(replay.add)
+read = jax.jit(replay.read)
+sample = jax.jit(replay.sample, static_argnums=2)
 
 
-def empty(slots):
-    return replay.init({"a": jnp.int32(0), "b": jnp.zeros(2)}, slots)
+class Worlds:
+    """N environments that observe a count that never comes twice, and end as a coin says."""
+
+    def __init__(self, seed: int, ends: float = 0.2, broken: float = 0.0, limit: int = LIMIT):
+        self.rng, self.chances, self.limit = np.random.default_rng(seed), (ends, broken), limit
+        self.count, self.age = 0, np.zeros(N, int)
+        self.present = self.fresh()
+
+    def fresh(self) -> np.ndarray:
+        """N observations that were not there before."""
+        self.count += N
+        count = np.arange(self.count - N, self.count, dtype=np.float32)
+        return np.stack([count, -count], 1)
+
+    def step(self):
+        """What `replay.add` takes."""
+        ends, breaks = (self.rng.random(N) < chance for chance in self.chances)
+        self.age += 1
+        terminal = ends & ~breaks
+        ended = ends | breaks | (self.age >= self.limit)
+        before, after = self.present, self.fresh()
+        self.present = np.where(ended[:, None], self.fresh(), after)
+        self.age[ended] = 0
+        reward, head = before[:, 0] / 2, (before[:, 0] % 200).astype(np.int32)
+        steps = Transition(before, head, before[:, :1] / 3, reward, terminal, after)
+        return steps, ended, self.present, ~breaks
 
 
-@pytest.mark.parametrize("slots", [1, 7, 32])
-def test_ring_keeps_exactly_the_newest(slots):
-    state, oracle = empty(slots), collections.deque(maxlen=slots)
-    rng, count = np.random.default_rng(slots), 0
-    for _ in range(40):
-        n = int(rng.choice([1, 2, 3, slots // 2, slots], p=[0.3, 0.2, 0.2, 0.2, 0.1]))
-        n = min(max(n, 1), slots)
-        state = add(state, items(count, n))
-        oracle.extend(range(count, count + n))
-        count += n
-        filled = int(state.size)
-        assert filled == len(oracle)
-        first = int(state.position) if filled == slots else 0
-        kept = np.roll(np.asarray(state.data["a"])[:filled], -first)
-        np.testing.assert_array_equal(kept, oracle)  # oldest first
-        pairs = np.asarray(state.data["b"])[:filled]
-        np.testing.assert_array_equal(pairs[:, 0], state.data["a"][:filled])
-        np.testing.assert_array_equal(pairs[:, 1], -pairs[:, 0])
+def empty(slots: int) -> replay.ReplayState:
+    rows = jnp.zeros((N, 2))
+    steps = Transition(rows, jnp.zeros(N, jnp.uint8), rows[:, :1], rows[:, 0], rows[:, 0] > 0, rows)
+    return replay.init(steps, slots, LIMIT)
 
 
-def test_items_take_the_type_of_their_slots():
-    state = replay.init(jnp.zeros((), jnp.uint8), 4)
-    state = add(state, jnp.array([3, 255]))
-    assert state.data.dtype == jnp.uint8
-    np.testing.assert_array_equal(state.data[:2], [3, 255])
+def whole(steps: Transition, kept: np.ndarray) -> list[tuple]:
+    """Steps one by one; a terminal one leads to its own observation."""
+    rows = []
+    for i in np.flatnonzero(kept):
+        one = [np.asarray(x)[i] for x in steps]
+        one[-1] = one[0] if steps.terminal[i] else one[-1]
+        rows.append(tuple(np.asarray(x, np.float32).tobytes() for x in one))
+    return rows
 
 
-def test_more_items_than_slots_are_refused():
-    with pytest.raises(ValueError, match="5 items do not fit 4 slots"):
-        add(empty(4), items(0, 5))
+def held(state: replay.ReplayState) -> list[tuple]:
+    """The steps of the rings, the oldest first."""
+    size, slots = int(state.size), replay.capacity(state)
+    steps = read(state, (int(state.position) - size + np.arange(size)) % slots)
+    return whole(steps, np.ones(size, bool))
 
 
-@pytest.mark.parametrize("slots", [5, 8])
-def test_what_is_not_kept_takes_no_slot(slots):
-    """Against the ring to which only the kept were added."""
-    rng, state, oracle = np.random.default_rng(slots), empty(slots), empty(slots)
-    for start in range(0, 60, 5):
-        kept = rng.random(5) < 0.6
-        state = jax.jit(replay.add)(state, items(start, 5), jnp.asarray(kept))
-        for i in np.flatnonzero(kept):
-            oracle = add(oracle, items(start + i, 1))
-        oracles.assert_equal(state, oracle)
+@pytest.mark.parametrize("slots", [3, 7, 32])
+@pytest.mark.parametrize("ends", [0.0, 0.3, 1.0])
+def test_the_newest_steps_are_held_whole(slots, ends):
+    """Also where every episode is cut off at the limit, and after the rows have gone round."""
+    worlds, state, oracle = Worlds(slots, ends), empty(slots), collections.deque(maxlen=slots)
+    for _ in range(60):
+        steps = worlds.step()
+        state = add(state, *steps)
+        oracle.extend(whole(steps[0], steps[-1]))
+        assert held(state) == list(oracle)
 
 
-@pytest.mark.parametrize("added", [5, 20, 33])  # partly filled, full, wrapped
-def test_samples_are_uniform_over_filled_slots(added):
+@pytest.mark.parametrize("broken", [0.1, 0.6])
+def test_what_is_not_kept_takes_no_slot(broken):
+    """Its row is another's gap: the oldest go earlier, and what is held is whole."""
+    slots = 20
+    worlds, state, oracle = Worlds(1, 0.1, broken), empty(slots), collections.deque(maxlen=slots)
+    sizes = []
+    for _ in range(100):
+        steps = worlds.step()
+        state = add(state, *steps)
+        oracle.extend(whole(steps[0], steps[-1]))
+        sizes.append(int(state.size))
+        assert held(state) == list(oracle)[len(oracle) - sizes[-1] :]
+        assert sizes[-1] >= min(len(oracle), steps[-1].sum())
+    rows = len(state.data.observations)
+    assert min(sizes[50:]) >= (1 - broken) * rows / 4  # a row a step, and one more where it ends
+    assert len({*sizes[50:]}) > 1  # some went
+
+
+def test_environments_that_begin_anew_leave_the_steps_before():
+    """As where a run goes on and their states could not be saved."""
+    worlds, state, oracle = Worlds(2), empty(20), collections.deque(maxlen=20)
+    for t in range(40):
+        if t % 3 == 2:
+            worlds.present, worlds.age = worlds.fresh(), np.zeros(N, int)
+            state = replay.cut_off(state, N)
+        steps = worlds.step()
+        state = add(state, *steps)
+        oracle.extend(whole(steps[0], steps[-1]))
+        assert held(state) == list(oracle)[len(oracle) - int(state.size) :]
+    assert state.size > 20 / 2
+
+
+def test_emptied_rings_fill_again():
+    worlds, state, oracle = Worlds(3), empty(20), collections.deque(maxlen=20)
+    for t in range(30):
+        if t == 15:
+            state = jax.tree.map(jnp.zeros_like, replay.emptied(state))  # as it is saved
+            oracle.clear()
+        steps = worlds.step()
+        state = add(state, *steps)
+        oracle.extend(whole(steps[0], steps[-1]))
+        assert held(state) == list(oracle)
+
+
+def test_steps_take_the_types_of_their_slots():
+    state = add(empty(4), *Worlds(0).step())
+    assert state.data.steps.extra.dtype == jnp.uint8
+    assert state.data.steps.terminal.dtype == bool
+
+
+def test_more_steps_than_slots_are_refused():
+    with pytest.raises(ValueError, match="3 steps do not fit 2 slots"):
+        add(empty(2), *Worlds(0).step())
+
+
+@functools.cache
+def filled(turns: int, broken: float) -> replay.ReplayState:
+    worlds, state = Worlds(4, 0.2, broken), empty(20)
+    for _ in range(turns):
+        state = add(state, *worlds.step())
+    return state
+
+
+CASES = pytest.mark.parametrize(("turns", "broken"), [(2, 0.0), (7, 0.0), (40, 0.0), (41, 0.5)])
+"""Partly filled, full, gone round, and with fewer steps than slots then."""
+
+
+@CASES
+def test_samples_are_uniform_over_what_is_held(turns, broken):
     """Chi-square below its mean plus 6 standard deviations, and the key is fixed."""
-    slots, n = 20, 40_000
-    state = empty(slots)
-    for start in range(added):
-        state = add(state, items(start, 1))
-    kept = range(max(0, added - slots), added)
-    sampled = replay.sample(state, jax.random.key(0), n)
-    np.testing.assert_array_equal(sampled["b"][:, 0], sampled["a"])
-    values, counts = np.unique(sampled["a"], return_counts=True)
-    np.testing.assert_array_equal(values, kept)
-    expected = n / len(kept)
-    statistic = ((counts - expected) ** 2 / expected).sum()
-    assert statistic < oracles.chi_square_limit(len(kept))
+    state, n = filled(turns, broken), 20_000
+    assert (int(state.size) < 20) == (turns in (2, 41))
+    sampled = sample(state, jax.random.key(0), n)
+    counts = collections.Counter(whole(sampled, np.ones(n, bool)))
+    assert set(counts) == set(held(state))
+    expected = n / int(state.size)
+    statistic = sum((count - expected) ** 2 / expected for count in counts.values())
+    assert statistic < oracles.chi_square_limit(int(state.size))
 
 
-def test_trim_keeps_the_filled_slots():
-    state = add(empty(9), items(0, 4))
+@CASES
+def test_trim_keeps_what_is_filled(turns, broken):
+    state = filled(turns, broken)
     trimmed = replay.trim(state)
-    np.testing.assert_array_equal(trimmed.data["a"], range(4))
-    assert replay.capacity(trimmed) == 4
-    full = add(add(empty(4), items(0, 4)), items(4, 1))
-    oracles.assert_equal(replay.trim(full).data, jax.tree.map(np.asarray, full.data))
+    slots, rows = len(trimmed.data.steps.reward), len(trimmed.data.observations)
+    assert (slots, rows) == (min(turns * N, 20), int(state.rows))
+    assert (rows == len(state.data.observations)) == (turns >= 40)
+    for part, of_all in zip(
+        jax.tree.leaves(trimmed.data), jax.tree.leaves(state.data), strict=True
+    ):
+        assert isinstance(part, np.ndarray)
+        np.testing.assert_array_equal(part, of_all[: len(part)])
+        assert not np.any(of_all[len(part) :])
+
+
+def test_an_observation_is_held_once():
+    """R = C + 2N + (C + N) / limit, and two rows of four bytes a step."""
+    state = empty(1000)
+    rows = 1000 + 2 * N + -(-(1000 + N) // LIMIT)
+    assert state.data.observations.shape == (rows, 2)
+    of_a_step = 1 + 4 + 4 + 1  # head, action, reward, terminal
+    assert sum(x.nbytes for x in jax.tree.leaves(state.data.steps)) == 1000 * (of_a_step + 8)
+    assert replay.bytes_of_a_step(state) == of_a_step + 2 * 8
