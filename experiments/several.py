@@ -1,6 +1,6 @@
 """Where several actions pay, and what they cost: where several are good, and where one is."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +29,14 @@ SHOWN = ("DDPG", "M = 10", "diverse")
 """In the picture."""
 ONE_BEST = ("pendulum", "halfcheetah", "hopper", "walker2d")
 """Tasks where one action is the best, and keeping heads apart can only cost."""
+COMPARED: Mapping[str, tuple[str, ...]] = {
+    "Where one action is the best": ONE_BEST,
+    "Where actions count inside some balls alone": (
+        "hopper, restricted",
+        "halfcheetah, restricted",
+    ),
+}
+"""Tasks on which the scores of `diverse` are compared with those of other arms."""
 
 
 class Task(NamedTuple):
@@ -107,13 +115,14 @@ def section(plan: Plan) -> str:
         "it was in training. Ends reached: how many of the goals or optima those episodes find. "
         "Means with 95 % intervals over seeds.\n\n" + Table(header, lines).markdown()
     )
-    if costs := _costs(plan):
-        text += (
-            "\n\nWhere one action is the best: the probability that a run of `diverse` scores "
-            "above one of another arm, 0.5 if it costs nothing, and van Elteren's two-sided test "
-            "over the tasks together.\n\n"
-            + Table(("over", *ONE_BEST, "together", "p"), costs).markdown()
-        )
+    for where, names in COMPARED.items():
+        if compared := _compared(plan, names):
+            text += (
+                f"\n\n{where}: the probability that a run of `diverse` scores above one of "
+                "another arm, 0.5 if it costs and brings nothing, and van Elteren's two-sided "
+                "test over the tasks together.\n\n"
+                + Table(("over", *names, "together", "p"), compared).markdown()
+            )
     goals = found.get("multi_goal", {})
     shares = {
         label: {str(result.seed): _shares(result.metrics) for result in goals[label]}
@@ -130,11 +139,11 @@ def section(plan: Plan) -> str:
     return text
 
 
-def _costs(plan: Plan) -> list[list[str]]:
-    """A line for each arm that `diverse` is compared with, once all four tasks have both."""
+def _compared(plan: Plan, names: Sequence[str]) -> list[list[str]]:
+    """A line for each arm that `diverse` is compared with, once all of the tasks have both."""
 
     def of(label: str) -> list[np.ndarray]:
-        return [scores.means(plan, arm(plan, name, label)) for name in ONE_BEST]
+        return [scores.means(plan, arm(plan, name, label)) for name in names]
 
     lines = []
     for label in ("DDPG", "M = 10"):
