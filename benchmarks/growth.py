@@ -20,6 +20,7 @@ from envs.base import Action
 from mapg_jax.reports import document, plots
 from mapg_jax.training.config import Config, ReplayConfig, preset
 from mapg_jax.training.lockstep import Lockstep
+from mapg_jax.training.replay import Data, ReplayState
 
 SECONDS = 0.5
 """Of a measurement, at least."""
@@ -178,8 +179,7 @@ def measure(configs: Sequence[Config], quick: bool) -> Cost:
     """Time and memory of a turn of these runs, once they learn."""
     program = Lockstep(configs)
     state = program.init()
-    size = jnp.full_like(state.replay.size, cast(ReplayConfig, configs[0]).replay_size)
-    state = state.replace(replay=state.replay.replace(size=size))  # as if it were full
+    state = state.replace(replay=_full(state.replay, cast(ReplayConfig, configs[0]).replay_size))
     run = program.jitted_run.lower(state, 0).compile()
     memory = _bytes(run)
     turns = 64
@@ -193,6 +193,19 @@ def measure(configs: Sequence[Config], quick: bool) -> Cost:
             turns = int(turns * min(16.0, 1.2 * SECONDS / max(seconds, 1e-4))) + 1
         times.append(seconds / turns)
     return Cost(statistics.median(times), memory)
+
+
+def _full(empty: ReplayState, slots: int) -> ReplayState:
+    """As if it were: every step with observations of its own."""
+    steps, observations = empty.data
+    row = jnp.broadcast_to(jnp.arange(slots, dtype=jnp.int32), steps.observation.shape)
+    steps = steps._replace(observation=row, next_observation=row + 1)
+    return empty.replace(
+        data=Data(steps, observations),
+        size=jnp.full_like(empty.size, slots),
+        row=jnp.full_like(empty.row, slots),
+        rows=jnp.full_like(empty.rows, observations.shape[-2]),
+    )
 
 
 def _bytes(run: Any) -> int:

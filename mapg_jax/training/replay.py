@@ -112,9 +112,9 @@ def add(
 
     count = kept.sum()
     position, size = (state.position + count) % slots, jnp.minimum(state.size + count, slots)
-    ahead = jnp.arange(2 * n)
+    ahead = jnp.arange(3 * n)
     oldest = of_steps.observation[(position - size + ahead) % slots]
-    lost = (oldest - state.row - n) % rows < following - state.row
+    lost = (oldest - state.row) % rows < following + n - state.row
     return ReplayState(
         data=Data(of_steps, observations),
         position=position,
@@ -149,6 +149,12 @@ def _first(state: ReplayState) -> Int[Array, "*S"]:
     """A slot from which on `size` slots are held: 0 where all are."""
     slots = state.data.steps.reward.shape[-1]
     return jnp.where(state.size == slots, 0, (state.position - state.size) % slots)
+
+
+def added(state: ReplayState) -> Int[Array, ""]:
+    """The steps since it was empty, C at most."""
+    gone_round = state.rows == len(state.data.observations)
+    return jnp.where(gone_round, capacity(state), state.size)
 
 
 def emptied(state: ReplayState) -> ReplayState:

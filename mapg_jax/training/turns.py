@@ -111,7 +111,7 @@ class ReplayTurn:
     def _has_enough(self, state: TrainState) -> Bool[Array, ""]:
         """Whether there is enough to begin, also after a run that was saved without its replay."""
         starts = self.config.learning_starts
-        stored = shards.total(state.replay.size)
+        stored = shards.total(replay.added(state.replay))
         return (state.env_steps >= starts) & (stored >= min(starts, self.config.replay_size))
 
     def learn(

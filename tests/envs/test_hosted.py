@@ -94,13 +94,16 @@ def test_a_run_goes_on_with_new_episodes(tmp_path, caplog):
     config = Config(**{**oracles.RUN.__dict__, **changes})
     half = begin(config, tmp_path / "run")
     half.go()
-    updates = int(oracles.newest_state(half.folder).agent.learner.updates)
+    before = oracles.newest_state(half.folder)
+    updates = int(before.agent.learner.updates)
     run = take_up(tmp_path / "run", steps=500)
     assert "the episodes under way begin anew" in caplog.text
     run.go()
     state = oracles.newest_state(run.folder)
     assert int(state.replay.size) == 500 and int(state.agent.learner.updates) > updates
     assert float(state.totals.broken) == 0
+    kept = jax.tree.map(lambda x: x[:400], oracles.stored(state))
+    oracles.assert_equal(kept, oracles.stored(before))  # also what the last steps led to
 
 
 @pytest.mark.parametrize(

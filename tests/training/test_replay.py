@@ -96,22 +96,27 @@ def test_what_is_not_kept_takes_no_slot(broken):
         assert held(state) == list(oracle)[len(oracle) - sizes[-1] :]
         assert sizes[-1] >= min(len(oracle), steps[-1].sum())
     rows = len(state.data.observations)
+    assert int(replay.added(state)) == slots
     assert min(sizes[50:]) >= (1 - broken) * rows / 4  # a row a step, and one more where it ends
     assert len({*sizes[50:]}) > 1  # some went
 
 
-def test_environments_that_begin_anew_leave_the_steps_before():
+@pytest.mark.parametrize("ends", [0.0, 0.2])
+@pytest.mark.parametrize("broken", [0.0, 0.1])
+@pytest.mark.parametrize("anew", [0.1, 0.3, 1.0])
+def test_environments_that_begin_anew_leave_the_steps_before(ends, broken, anew):
     """As where a run goes on and their states could not be saved."""
-    worlds, state, oracle = Worlds(2), empty(20), collections.deque(maxlen=20)
-    for t in range(40):
-        if t % 3 == 2:
+    worlds, state, oracle = Worlds(2, ends, broken), empty(20), collections.deque(maxlen=20)
+    coins = np.random.default_rng(5)
+    for _ in range(100):
+        if coins.random() < anew:
             worlds.present, worlds.age = worlds.fresh(), np.zeros(N, int)
             state = replay.cut_off(state, N)
         steps = worlds.step()
         state = add(state, *steps)
         oracle.extend(whole(steps[0], steps[-1]))
         assert held(state) == list(oracle)[len(oracle) - int(state.size) :]
-    assert state.size > 20 / 2
+    assert int(replay.added(state)) == 20 >= int(state.size) > 20 / 3
 
 
 def test_emptied_rings_fill_again():
@@ -175,6 +180,24 @@ def test_trim_keeps_what_is_filled(turns, broken):
         assert isinstance(part, np.ndarray)
         np.testing.assert_array_equal(part, of_all[: len(part)])
         assert not np.any(of_all[len(part) :])
+
+
+def test_shards_side_by_side_are_as_one_by_one():
+    """[S, ...] in front of every leaf, here of two that are filled to different lengths."""
+    parts = filled(2, 0.0), filled(7, 0.0)
+    state = jax.tree.map(lambda *x: jnp.stack(x), *parts)
+    trimmed = replay.trim(state)
+    assert trimmed.data.steps.reward.shape == (2, 20)
+    assert trimmed.data.observations.shape == (2, int(parts[1].rows), 2)
+    for k, part in enumerate(parts):
+        of_one = jax.tree.map(lambda x, k=k: x[k], trimmed.data)
+        rows = int(parts[1].rows)
+        expected = part.data._replace(observations=part.data.observations[:rows])
+        oracles.assert_equal(of_one, expected)
+        one = jax.tree.map(lambda x, k=k: x[k], replay.cut_off(state, N))
+        oracles.assert_equal(one, replay.cut_off(part, N))
+    assert replay.capacity(state) == 40
+    assert replay.bytes_of_a_step(state) == replay.bytes_of_a_step(parts[0])
 
 
 def test_an_observation_is_held_once():
