@@ -90,7 +90,7 @@ def test_an_episode_that_is_cut_off_early_is_counted():
 
 
 def test_a_run_goes_on_with_new_episodes(tmp_path, caplog):
-    changes = {"env": "gym:Pendulum-v1", "steps": 400, "replay_size": 1_000}
+    changes = {"env": "gym:Pendulum-v1", "steps": 400, "replay_size": 1_000, "time_limit": 30}
     config = Config(**{**oracles.RUN.__dict__, **changes})
     half = begin(config, tmp_path / "run")
     half.go()
