@@ -60,7 +60,7 @@ class Plan(NamedTuple):
     """M, beside DDPG's 1."""
     studied: tuple[str, ...] = ("pendulum", "halfcheetah")
     """Tasks on which DDPG and M = 10 are compared with and without noise."""
-    ruled: tuple[str, ...] = ("halfcheetah", "hopper")
+    ruled: tuple[str, ...] = ("halfcheetah", "hopper", "pendulum")
     """Tasks on which the rules of the heads are compared."""
     carried: tuple[str, ...] = ("pendulum", "hopper", "halfcheetah", "walker2d")
     """Tasks on which other algorithms are compared with themselves."""
