@@ -177,7 +177,7 @@ def test_too_little_memory_is_refused_with_the_numbers(mapg, tmp_path, monkeypat
     monkeypatch.setattr(memory, "available_bytes", lambda: 50_000_000)
     status, out, err = mapg("train", "--env", "hopper", "--out", "run")
     assert (status, out) == (2, "")
-    assert "mapg: the run needs 0.2 GB, of which the replay" in err
+    assert "mapg: the run needs 0.1 GB, of which the replay" in err
     assert not list(tmp_path.iterdir())
 
 
