@@ -99,12 +99,12 @@ def add(
 
     # The upcoming are written already, for who samples them before they are acted on. What is
     # acted on is written again: it is another where the environments, or the rings, began anew.
+    written = now % rows, jnp.where(cut, last % rows, rows + lane), (following + lane) % rows
     observations = _put(
         state.data.observations,
-        jnp.concatenate([now % rows, jnp.where(cut, last % rows, rows + lane), 
-                         (following + lane) % rows]),
+        jnp.concatenate(written),
         jnp.concatenate([steps.observation, steps.next_observation, upcoming]),
-    )  # fmt: skip
+    )
     place = (state.position + jnp.cumsum(kept) - 1) % slots
     place = jnp.where(kept, place, slots + lane)
     of_steps = steps._replace(observation=now % rows, next_observation=after % rows)

@@ -22,8 +22,8 @@ sample = jax.jit(replay.sample, static_argnums=2)
 class Worlds:
     """N environments that observe a count that never comes twice, and end as a coin says."""
 
-    def __init__(self, seed: int, ends: float = 0.2, broken: float = 0.0, limit: int = LIMIT):
-        self.rng, self.chances, self.limit = np.random.default_rng(seed), (ends, broken), limit
+    def __init__(self, seed: int, ends: float = 0.2, broken: float = 0.0):
+        self.rng, self.chances = np.random.default_rng(seed), (ends, broken)
         self.count, self.age = 0, np.zeros(N, int)
         self.present = self.fresh()
 
@@ -38,7 +38,7 @@ class Worlds:
         ends, breaks = (self.rng.random(N) < chance for chance in self.chances)
         self.age += 1
         terminal = ends & ~breaks
-        ended = ends | breaks | (self.age >= self.limit)
+        ended = ends | breaks | (self.age >= LIMIT)
         before, after = self.present, self.fresh()
         self.present = np.where(ended[:, None], self.fresh(), after)
         self.age[ended] = 0
@@ -53,21 +53,22 @@ def empty(slots: int) -> replay.ReplayState:
     return replay.init(steps, slots, LIMIT)
 
 
+def one_by_one(steps: Transition) -> list[tuple]:
+    """Steps as what can be compared."""
+    leaves = [np.asarray(x, np.float32) for x in steps]
+    return [tuple(x[i].tobytes() for x in leaves) for i in range(len(steps.reward))]
+
+
 def whole(steps: Transition, kept: np.ndarray) -> list[tuple]:
-    """Steps one by one; a terminal one leads to its own observation."""
-    rows = []
-    for i in np.flatnonzero(kept):
-        one = [np.asarray(x)[i] for x in steps]
-        one[-1] = one[0] if steps.terminal[i] else one[-1]
-        rows.append(tuple(np.asarray(x, np.float32).tobytes() for x in one))
-    return rows
+    """Those that are kept, as they should be held: a terminal one leads to its own observation."""
+    own = np.where(steps.terminal[:, None], steps.observation, steps.next_observation)
+    return one_by_one(jax.tree.map(lambda x: x[kept], steps._replace(next_observation=own)))
 
 
 def held(state: replay.ReplayState) -> list[tuple]:
     """The steps of the rings, the oldest first."""
     size, slots = int(state.size), replay.capacity(state)
-    steps = read(state, (int(state.position) - size + np.arange(size)) % slots)
-    return whole(steps, np.ones(size, bool))
+    return one_by_one(read(state, (int(state.position) - size + np.arange(size)) % slots))
 
 
 @pytest.mark.parametrize("slots", [3, 7, 32])
@@ -160,7 +161,7 @@ def test_samples_are_uniform_over_what_is_held(turns, broken):
     state, n = filled(turns, broken), 20_000
     assert (int(state.size) < 20) == (turns in (2, 41))
     sampled = sample(state, jax.random.key(0), n)
-    counts = collections.Counter(whole(sampled, np.ones(n, bool)))
+    counts = collections.Counter(one_by_one(sampled))
     assert set(counts) == set(held(state))
     expected = n / int(state.size)
     statistic = sum((count - expected) ** 2 / expected for count in counts.values())
