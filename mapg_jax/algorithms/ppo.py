@@ -5,12 +5,13 @@ own densities; `marginal` is PPO of the mixture. All functions are pure.
 """
 
 import dataclasses
+import math
 from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Integer, PRNGKeyArray
 
 from mapg_jax.algorithms.base import Rollout
 from mapg_jax.algorithms.descent import Params, minimize
@@ -30,15 +31,33 @@ class PpoOptions(OnPolicyOptions):
     epochs: int = option(10, "Passes over a rollout.", at_least=1)
     minibatches: int = option(32, "Parts of a rollout, an update each; they divide it.", at_least=1)
     clip: float = option(0.2, "ε; beyond 1 ± ε a ratio of densities gains nothing.", above=0)
+    annealing_updates: int = option(
+        0,
+        "Updates, one a rollout, over which both learning rates fall to 0 in a straight line; "
+        "0 keeps them as they are.",
+        at_least=0,
+    )
 
     def __post_init__(self):
         super().__post_init__()
+        self._refuse_to_learn_at_zero()
         environments = getattr(self, "environments", self.minibatches)
         steps = self.rollout_steps * environments // getattr(self, "shards", 1)
         if steps % self.minibatches:
             raise ValueError(
                 f"a rollout of {steps} steps, {self.rollout_steps} of each environment, cannot be "
                 f"cut into {self.minibatches} minibatches; their number must divide it"
+            )
+
+    def _refuse_to_learn_at_zero(self):
+        """Raises ValueError if the learning rates are 0 before the run ends."""
+        steps = getattr(self, "steps", 0)
+        turn = self.rollout_steps * getattr(self, "environments", 1)
+        updates = math.ceil(steps / turn)
+        if 0 < self.annealing_updates < updates:
+            raise ValueError(
+                f"annealing_updates must be 0 or at least {updates}, the updates of {steps:,} "
+                f"steps; got {self.annealing_updates}, after which the learning rates are 0"
             )
 
 
@@ -50,6 +69,7 @@ class Hyperparameters(struct.PyTreeNode):
     trace: jax.Array  # [], λ
     actor_learning_rate: jax.Array  # []
     critic_learning_rate: jax.Array  # []
+    annealing_updates: jax.Array  # [] i32, until both rates are 0; 0 for never
     clip: jax.Array  # [], ε
 
 
@@ -73,7 +93,12 @@ class Ppo(OnPolicy):
     Hyper: ClassVar = Hyperparameters
     Metrics: ClassVar = UpdateMetrics
     presets: ClassVar = {
-        "reference": {"rollout_steps": 2048, "hidden": (64, 64), "normalize": True},
+        "reference": {
+            "rollout_steps": 2048,
+            "hidden": (64, 64),
+            "normalize": True,
+            "annealing_updates": 489,  # those of the preset's million steps
+        },
         "parallel": {  # minibatches and epochs of Brax's PPO; rollouts as long, and steps as small,
             # as driving took to settle (docs/parallel.md)
             "rollout_steps": 64,
@@ -109,6 +134,15 @@ class Ppo(OnPolicy):
         gain = jnp.minimum(ratio * advantage, clipped * advantage)
         return -gain.mean(), (jnp.abs(ratio - 1) > hyper.clip).mean()
 
+    def annealed(self, hyper: Hyperparameters, updates: Integer[Array, ""]) -> Hyperparameters:
+        r"""Both learning rates times $\max(0, 1 - k / K)$, k updates after the start."""
+        total = jnp.where(hyper.annealing_updates > 0, hyper.annealing_updates, jnp.inf)
+        left = jnp.maximum(1 - updates / total, 0.0)
+        return hyper.replace(
+            actor_learning_rate=hyper.actor_learning_rate * left,
+            critic_learning_rate=hyper.critic_learning_rate * left,
+        )
+
     def update(
         self, learner: LearnerState, hyper: Hyperparameters, batch: Rollout, key: PRNGKeyArray
     ) -> tuple[LearnerState, UpdateMetrics]:
@@ -121,6 +155,7 @@ class Ppo(OnPolicy):
           key: for the order of the steps.
         """
         before = learner.actor
+        hyper = self.annealed(hyper, learner.updates)
         learner, steps = self.prepare(learner, hyper, batch)
 
         def one(learner: LearnerState, part: jax.Array):

@@ -18,7 +18,7 @@ from mapg_jax.algorithms.ppo import Ppo, PpoOptions
 from mapg_jax.algorithms.returns import generalized_advantages
 from mapg_jax.algorithms.trpo import Trpo, TrpoOptions
 from mapg_jax.runs import contract
-from mapg_jax.training.config import Config
+from mapg_jax.training.config import Config, preset
 
 T, N, D, A = 6, 4, 3, 2
 
@@ -77,11 +77,19 @@ def setup(kind, options):
     return algorithm, learner, hyper, rollout(algorithm, learner, hyper, options.heads)
 
 
+@functools.cache
+def ppo_update():
+    """The compiled update of PPO's set-up."""
+    return jax.jit(setup(Ppo, PPO)[0].update)
+
+
 def test_one_head_is_ppo():
-    """One update against PPO written plainly: epochs, minibatches, clip, two Adams."""
+    """The second of four updates against PPO written plainly: epochs, minibatches, clip, two Adams
+    whose rates have fallen by a quarter."""
     algorithm, learner, hyper, given = setup(Ppo, PPO)
     key = jax.random.key(5)
-    after, _ = jax.jit(algorithm.update)(learner, hyper, given, key)
+    annealed = hyper.replace(annealing_updates=jnp.int32(4))
+    after, _ = ppo_update()(learner.replace(updates=jnp.int32(1)), annealed, given, key)
 
     steps = given.steps
     value = algorithm.value(learner.critic, learner.returns, steps.observation)
@@ -128,7 +136,7 @@ def test_one_head_is_ppo():
 
     flat = jax.tree.map(jnp.asarray, flat)
     actor, critic = learner.actor, learner.critic
-    actor_adam, critic_adam = slow_ddpg.Adam(3e-4), slow_ddpg.Adam(3e-4)
+    actor_adam, critic_adam = slow_ddpg.Adam(0.75 * 3e-4), slow_ddpg.Adam(0.75 * 3e-4)
     for epoch in jax.random.split(key, PPO.epochs):
         for part in jax.random.permutation(epoch, T * N).reshape(PPO.minibatches, -1):
             for_actor, for_critic = gradients(actor, critic, part)
@@ -137,6 +145,23 @@ def test_one_head_is_ppo():
     close = functools.partial(np.testing.assert_allclose, rtol=1e-3, atol=2e-6)
     jax.tree.map(close, after.actor, actor)
     jax.tree.map(close, after.critic, critic)
+
+
+def test_annealed_ppo_ends_where_its_rates_are_0_and_by_default_they_stay():
+    _, learner, hyper, given = setup(Ppo, PPO)
+
+    def at(updates, total):
+        numbers = hyper.replace(annealing_updates=jnp.int32(total))
+        begun = learner.replace(updates=jnp.int32(updates))
+        after, _ = ppo_update()(begun, numbers, given, jax.random.key(5))
+        return after.actor, after.critic
+
+    for updates in (4, 5):
+        oracles.assert_equal(at(updates, 4), (learner.actor, learner.critic))
+    oracles.assert_equal(at(5, 0), at(0, 0))
+    oracles.assert_equal(at(0, 4), at(0, 0))
+    with pytest.raises(ValueError, match="at least 489, the updates of 1,000,000 steps; got 488"):
+        preset("reference", "ppo", annealing_updates=488)
 
 
 @pytest.mark.parametrize("gradient", ["stored", "marginal"])

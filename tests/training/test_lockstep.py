@@ -168,7 +168,7 @@ def test_what_is_traced_is_the_seed_and_what_an_update_reads():
         "sac": {"heads", "tau", "temperature_learning_rate", "entropy_target", *rates},
         "naf": {"heads", "tau", "learning_rate", "noise_scale"},
         "a3c": {"entropy_weight", *rates},
-        "ppo": {"heads", "trace", "clip", *rates},
+        "ppo": {"heads", "trace", "clip", "annealing_updates", *rates},
         "trpo": {"heads", "trace", "trust_region", "damping", "critic_learning_rate"},
     }
     assert own.keys() == set(registry.names())
@@ -194,6 +194,7 @@ def changed(config: Config, name: str) -> Config:
     others = {
         "env": "hopper", "env_options": ("g=9.81",), "engine": "jax", "hidden": (8, 8),
         "time_limit": 7, "noise_scale_last": 0.3, "rollout_steps": 64, "minibatches": 16,
+        "annealing_updates": 1_000,
     }  # fmt: skip
     value = getattr(config, name)
     hint = typing.get_type_hints(type(config))[name]
