@@ -8,11 +8,14 @@ from mapg_jax.algorithms.heads import in_use
 
 
 def log_gaussian(
-    x: Float[Array, "*B A"], mean: Float[Array, "*B A"], log_std: Float[Array, "*B A"]
-) -> Float[Array, "*B"]:
-    r"""$-\sum_i (\frac{(x_i - \mu_i)^2}{2 \sigma_i^2} + \log \sigma_i + \frac{1}{2} \log 2\pi)$."""
+    x: Float[Array, "..."], mean: Float[Array, "..."], log_std: Float[Array, "..."], axis: int = -1
+) -> Float[Array, "..."]:
+    r"""$-\sum_i (\frac{(x_i - \mu_i)^2}{2 \sigma_i^2} + \log \sigma_i + \frac{1}{2} \log 2\pi)$.
+
+    The sum is over one axis; the others broadcast.
+    """
     scaled = (x - mean) * jnp.exp(-log_std)
-    return -(0.5 * jnp.square(scaled) + log_std + 0.5 * jnp.log(2 * jnp.pi)).sum(-1)
+    return -(0.5 * jnp.square(scaled) + log_std + 0.5 * jnp.log(2 * jnp.pi)).sum(axis)
 
 
 def log_density(
@@ -22,8 +25,10 @@ def log_density(
     heads: Int[Array, ""],
 ) -> Float[Array, "*B K"]:
     r"""$\log \frac{1}{M} \sum_m N(x; \mu_m, \sigma_m^2)$ of K points a state."""
-    x, mean, log_std = x[..., :, None, :], mean[..., None, :, :], log_std[..., None, :, :]
-    each = log_gaussian(*jnp.broadcast_arrays(x, mean, log_std))
+    # What is summed over comes first, [A, M, K, *B]: a CPU sums a short last axis slowly.
+    x, mean, log_std = (jnp.moveaxis(y, (-1, -2), (0, 1)) for y in (x, mean, log_std))
+    each = log_gaussian(x[:, None], mean[:, :, None], log_std[:, :, None], axis=0)
+    known = jnp.expand_dims(in_use(heads, each.shape[:1]), range(1, each.ndim))
     # Padding is taken out before the exponential, where its gradient would be 0 times infinity.
-    each = jnp.where(in_use(heads, each.shape), each, -jnp.inf)
-    return jax.nn.logsumexp(each, axis=-1) - jnp.log(heads)
+    each = jnp.where(known, each, -jnp.inf)
+    return jnp.moveaxis(jax.nn.logsumexp(each, axis=0) - jnp.log(heads), 0, -1)
