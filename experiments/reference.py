@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from statistics import fmean
 from typing import NamedTuple
 
+import numpy as np
+
 from experiments import rows, scores
 from experiments.plan import FIRST_SEED, Plan
 from mapg_jax.algorithms import registry
@@ -89,16 +91,16 @@ def table(plan: Plan) -> Table:
     """A line a cell."""
     lines = []
     for cell in CELLS:
-        plain, many = ([x.return_mean for x in scores.of(plan, of(plan, cell, m))] for m in HEADS)
+        plain, many = (of(plan, cell, m) for m in HEADS)
         lines.append(
             (
                 registry.find(cell.algorithm).label(1),
                 cell.env,
-                f"{of(plan, cell, 1)[0].steps:,}",
-                scores.summary(plain),
+                f"{plain[0].steps:,}",
+                _summary(plan, plain),
                 f"{cell.least:,g}",
-                _reached(plain, cell.least),
-                scores.summary(many),
+                _reached(scores.means(plan, plain), cell.least),
+                _summary(plan, many),
                 cell.published,
             )
         )
@@ -106,7 +108,16 @@ def table(plan: Plan) -> Table:
     return Table(header, lines)
 
 
-def _reached(found: Sequence[float], least: float) -> str:
-    if not found:
+def _summary(plan: Plan, of_cell: Sequence[Config]) -> str:
+    """Of the scores of a cell; runs that diverged have none, and are counted."""
+    diverged = len(rows.of(plan.measured / rows.DIVERGED, of_cell))
+    if diverged == len(of_cell):
+        return f"all {diverged} diverged"
+    summary = scores.summary(scores.means(plan, of_cell))
+    return f"{summary}; {diverged} diverged" if diverged else summary
+
+
+def _reached(found: np.ndarray, least: float) -> str:
+    if not len(found):
         return ""
     return "yes" if fmean(found) >= least else "**no**"

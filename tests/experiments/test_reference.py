@@ -3,7 +3,7 @@
 import pytest
 from written import result
 
-from experiments import page, reference, scores
+from experiments import page, reference, rows, scores
 from experiments.plan import make_plan, name
 from mapg_jax.reports import inference
 from mapg_jax.reports.results_csv import append_csv
@@ -36,10 +36,14 @@ def test_the_mean_over_seeds_is_what_must_reach(plan):
     write(plan, ppo, 1, [1_700.0, 1_950.0])
     write(plan, trpo, 1, [1_400.0])
     write(plan, trpo, 10, [1_600.0])
+    diverged = [*reference.of(plan, naf, 10), *reference.of(plan, trpo, 10)[1:]]
+    lost = [{**rows.identity(config), "reason": "numbers"} for config in diverged]
+    rows.append(plan.measured / rows.DIVERGED, lost)
     lines = reference.table(plan).markdown().splitlines()[2:]
     found = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
     assert [cells[5] for cells in found] == ["yes", "yes", "**no**", *[""] * 6]
-    assert [cells[6] for cells in found[:3]] == ["missing", "missing", "1600 (no interval), n = 1"]
+    many = ["all 5 diverged", "missing", "1600 (no interval), n = 1; 1 diverged"]
+    assert [cells[6] for cells in found[:3]] == many
 
 
 def test_it_stands_in_the_readme(plan, tmp_path):
