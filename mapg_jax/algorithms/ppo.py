@@ -69,7 +69,6 @@ class Hyperparameters(struct.PyTreeNode):
     trace: jax.Array  # [], λ
     actor_learning_rate: jax.Array  # []
     critic_learning_rate: jax.Array  # []
-    annealing_updates: jax.Array  # [] i32, until both rates are 0; 0 for never
     clip: jax.Array  # [], ε
 
 
@@ -136,8 +135,9 @@ class Ppo(OnPolicy):
 
     def annealed(self, hyper: Hyperparameters, updates: Integer[Array, ""]) -> Hyperparameters:
         r"""Both learning rates times $\max(0, 1 - k / K)$, k updates after the start."""
-        total = jnp.where(hyper.annealing_updates > 0, hyper.annealing_updates, jnp.inf)
-        left = jnp.maximum(1 - updates / total, 0.0)
+        if not self.options.annealing_updates:
+            return hyper
+        left = jnp.maximum(1 - updates / self.options.annealing_updates, 0.0)
         return hyper.replace(
             actor_learning_rate=hyper.actor_learning_rate * left,
             critic_learning_rate=hyper.critic_learning_rate * left,

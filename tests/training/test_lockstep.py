@@ -168,7 +168,7 @@ def test_what_is_traced_is_the_seed_and_what_an_update_reads():
         "sac": {"heads", "tau", "temperature_learning_rate", "entropy_target", *rates},
         "naf": {"heads", "tau", "learning_rate", "noise_scale"},
         "a3c": {"entropy_weight", *rates},
-        "ppo": {"heads", "trace", "clip", "annealing_updates", *rates},
+        "ppo": {"heads", "trace", "clip", *rates},
         "trpo": {"heads", "trace", "trust_region", "damping", "critic_learning_rate"},
     }
     assert own.keys() == set(registry.names())
