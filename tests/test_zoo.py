@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.policy import load_policy
 from mapg_jax.runs.scoring import score
 
 ZOO = pathlib.Path(__file__).parent.parent / "zoo"
@@ -23,6 +24,13 @@ def test_each_has_a_card_with_its_score(name):
     assert f"| [{name}]({name}/README.md) | {row}" in (ZOO / "README.md").read_text()
     assert official["env_steps"] == folder.scored_steps() and official["episodes"] == 100
     assert sum(file.stat().st_size for file in (ZOO / name).rglob("*")) < 3_000_000
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_policy_of_before_still_loads(name):
+    """The state of its algorithm is what was saved, leaf by leaf."""
+    policy = load_policy(ZOO / name)
+    assert policy.env_steps == RunFolder.open(ZOO / name).scored_steps()
 
 
 @pytest.mark.parametrize("name", ["pendulum-m10", "multi_goal-diverse"])
