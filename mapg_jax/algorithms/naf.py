@@ -81,31 +81,23 @@ class UpdateMetrics(NamedTuple):
 class Landscape(NamedTuple):
     """Q over the actions of a state."""
 
-    level: Float[Array, "*B"]  # v
+    value: Float[Array, "*B"]  # V, the maximum
     peaks: Float[Array, "*B M A"]  # μ, in [-1, 1]
     cholesky: Float[Array, "*B M A A"]  # L, lower triangular, its diagonal positive
-    height: Float[Array, "*B M"]  # β, above the level
+    height: Float[Array, "*B M"]  # b, above V: 0 at the highest peak
 
 
 def quadratics(landscape: Landscape, action: Float[Array, "*B A"]) -> Float[Array, "*B M"]:
-    r"""$v + \beta_m - \frac{1}{2} \|L_m^\top (a - \mu_m)\|^2$ (NAF, Eq. 6 and 7, a peak each)."""
+    r"""$V + b_m - \frac{1}{2} \|L_m^\top (a - \mu_m)\|^2$ (NAF, Eq. 6 and 7, a peak each)."""
     away = action[..., None, :] - landscape.peaks
     along = (landscape.cholesky * away[..., :, None]).sum(-2)
-    return landscape.level[..., None] + landscape.height - 0.5 * jnp.square(along).sum(-1)
-
-
-def maximum(landscape: Landscape, heads: Int[Array, ""]) -> Float[Array, "*B"]:
-    r"""$V(s) = \max_a Q(s, a) = v + \max_m \beta_m$, at the highest peak."""
-    return landscape.level + _highest(landscape.height, heads)
+    return landscape.value[..., None] + landscape.height - 0.5 * jnp.square(along).sum(-1)
 
 
 def q_value(
     landscape: Landscape, action: Float[Array, "*B A"], heads: Int[Array, ""]
 ) -> Float[Array, "*B"]:
-    r"""$Q(s, a) = \max_m (v + \beta_m - \frac{1}{2} \|L_m^\top (a - \mu_m)\|^2)$.
-
-    That is $V + \max_m (b_m - \ldots)$ with $b_m = \beta_m - \max_j \beta_j$, the highest at 0.
-    """
+    r"""$Q(s, a) = V + \max_m (b_m - \frac{1}{2} \|L_m^\top (a - \mu_m)\|^2)$."""
     return _highest(quadratics(landscape, action), heads)
 
 
@@ -168,9 +160,15 @@ class Naf:
             updates=jnp.zeros((), jnp.int32),
         )
 
-    def landscape(self, critic: Params, observation: Float[Array, "*B D"]) -> Landscape:
-        """Q over the actions of each state."""
-        return Landscape(*cast(tuple, self.critic.apply(critic, observation)))
+    def landscape(
+        self, critic: Params, observation: Float[Array, "*B D"], heads: Int[Array, ""]
+    ) -> Landscape:
+        r"""Q over the actions of each state: $b_m = \beta_m - \max_j \beta_j$.
+
+        V alone moves the level, so that with one peak, whose b is 0, nothing beside NAF learns.
+        """
+        value, peaks, cholesky, height = cast(tuple, self.critic.apply(critic, observation))
+        return Landscape(value, peaks, cholesky, height - _highest(height, heads)[..., None])
 
     def explorer(self, environments: int) -> Float[Array, "N A"]:
         """The noise, which starts at 0 with every episode."""
@@ -189,7 +187,7 @@ class Naf:
         head = heads_.draw(head_key, hyper.heads, (len(observation),))
         scale = jnp.reshape(hyper.noise_scale, (1, 1))
         noise = exploration.advance(self.noise, noise_key, explorer, scale)
-        peak = heads_.take(self.landscape(learner.critic, observation).peaks, head)
+        peak = heads_.take(self.landscape(learner.critic, observation, hyper.heads).peaks, head)
         return Explored(jnp.clip(peak + noise, -1.0, 1.0), (), noise)
 
     def act(
@@ -208,7 +206,7 @@ class Naf:
         self, learner: LearnerState, hyper: Hyperparameters, observation: Float[Array, "*B D"]
     ) -> tuple[Float[Array, "*B M A"], Float[Array, "*B M"]]:
         """The peaks, and Q at each: its height, unless another peak towers over it there."""
-        peaks = self.landscape(learner.critic, observation).peaks
+        peaks = self.landscape(learner.critic, observation, hyper.heads).peaks
         return peaks, self.q_values(learner, hyper, observation, peaks)
 
     def q_values(
@@ -219,7 +217,7 @@ class Naf:
         actions: Float[Array, "*B K A"],
     ) -> Float[Array, "*B K"]:
         """Q of any K actions a state."""
-        landscape = self.landscape(learner.critic, observation)
+        landscape = self.landscape(learner.critic, observation, hyper.heads)
         one = functools.partial(q_value, landscape, heads=hyper.heads)
         return jax.vmap(one, in_axes=-2, out_axes=-1)(actions)
 
@@ -231,7 +229,7 @@ class Naf:
         hyper: Hyperparameters,
     ) -> tuple[Float[Array, ""], tuple[Float[Array, "B"], Landscape]]:
         r"""$\frac{1}{B} \sum_b (y_b - Q(s_b, a_b))^2$; beside it Q and its landscape."""
-        landscape = self.landscape(critic, batch.observation)
+        landscape = self.landscape(critic, batch.observation, hyper.heads)
         q = q_value(landscape, batch.action, hyper.heads)
         return jnp.square(target - q).mean(), (q, landscape)
 
@@ -247,9 +245,8 @@ class Naf:
           key: nothing is drawn.
         """
         discount = jnp.where(batch.terminal, 0.0, hyper.discount)
-        following = self.landscape(learner.critic_target, batch.next_observation)
-        next_value = maximum(following, hyper.heads)
-        target = td_target(batch.reward, discount, next_value)
+        following = self.landscape(learner.critic_target, batch.next_observation, hyper.heads)
+        target = td_target(batch.reward, discount, following.value)
         critic = minimize(
             lambda params: self.critic_loss(params, batch, target, hyper),
             self.optimizer,
@@ -267,7 +264,7 @@ class Naf:
         metrics = UpdateMetrics(
             critic_loss=critic.loss,
             q_mean=q.mean(),
-            value_mean=maximum(landscape, hyper.heads).mean(),
+            value_mean=landscape.value.mean(),
             heads_reached=_reached(landscape, batch.action, hyper.heads),
             critic_gradient_norm=critic.gradient_norm,
         )

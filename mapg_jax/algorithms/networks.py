@@ -197,7 +197,7 @@ class GaussianHeads(nn.Module):
 
 
 class Peaks(nn.Module):
-    """M quadratic peaks of Q: v, the peaks in [-1, 1]^A, L of each, and heights β.
+    """M quadratic peaks of Q: V, the peaks in [-1, 1]^A, L of each, and heights β.
 
     All start equally high; L is lower triangular with an exponential diagonal, as in NAF.
     """
@@ -219,7 +219,7 @@ class Peaks(nn.Module):
         Float[Array, "*B {self.heads}"],
     ]:
         x = _trunk(observation, self.hidden, self.layer_norm)
-        level = _last_layer(1)(x)[..., 0]
+        value = _last_layer(1)(x)[..., 0]
         bias_init = _per_head_uniform(self.heads, self.spread, first=LAST_LAYER_SCALE)
         peaks = jnp.tanh(_of_heads(self, "peaks_", x, self.action_size, bias_init))
         square = _of_heads(self, "cholesky_", x, self.action_size**2)
@@ -230,7 +230,7 @@ class Peaks(nn.Module):
         cholesky = jnp.where(diagonal, positive, jnp.tril(square, -1))
         zeros = nn.initializers.zeros
         height = nn.Dense(self.heads, name="height", kernel_init=zeros, bias_init=zeros)(x)
-        return level, peaks, cholesky, height
+        return value, peaks, cholesky, height
 
 
 class StateCritic(nn.Module):

@@ -16,7 +16,8 @@ def settle(flags: list[str]) -> tuple[str, list[str]]:
     """Preset and algorithms, which the other flags depend on; modules to import are imported.
 
     Raises:
-      ValueError: if a preset, an algorithm or a module is unknown.
+      ValueError: if a preset, an algorithm or a module is unknown, or one of the algorithms has no
+        such preset.
     """
     first = Parser(add_help=False)
     first.add_argument("--preset", default="paper")
@@ -24,11 +25,10 @@ def settle(flags: list[str]) -> tuple[str, list[str]]:
     plugins.add_argument(first)
     known, _ = first.parse_known_args(flags)
     plugins.load(known.imports)
-    if known.preset not in PRESETS:
-        raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {known.preset!r}")
-    for name in known.algorithm:
-        registry.find(name)
-    return known.preset, known.algorithm or ["mapg"]
+    algorithms = known.algorithm or ["mapg"]
+    for name in algorithms:
+        preset(known.preset, name)
+    return known.preset, algorithms
 
 
 def add_preset(parser: Parser) -> None:

@@ -19,7 +19,7 @@ from mapg_jax.algorithms import registry
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.metrics import read_metrics
 from mapg_jax.runs.sealing import refuse_a_broken_seal
-from mapg_jax.training.config import PRESETS, Config, fields, preset
+from mapg_jax.training.config import Config, fields, preset, presets_of
 
 COLUMNS_OF_THEIR_OWN = {"env", "algorithm", "heads", "seed", "steps"}
 CURVE = ("env_steps", "return_mean", "return_std", "spread", "q_gap_relative")
@@ -205,7 +205,7 @@ def _sort_settings(slug: str, heads: int, text: str) -> Settings:
     name = registry.name_of(algorithm)
     own = {field.name for field in dataclasses.fields(algorithm.Options)} - set(fields(Config))
     paper, found, changes = preset("paper", name), _by_name(text), {}
-    for other in PRESETS:
+    for other in presets_of(name):
         theirs = _by_name(settings(preset(other, name)))
         ours = {k: _text(getattr(paper, k)) for k in theirs} | found
         changes[other] = {k: v for k, v in sorted(ours.items()) if v != theirs.get(k)}

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 import envs
@@ -234,7 +234,11 @@ def fields(cls: type[Config]) -> Mapping[str, dataclasses.Field]:
 
 def owners_of(name: str) -> str:
     """The algorithms whose runs have that field, as a phrase; empty if there are none."""
-    *others, last = [x for x in registry.names() if name in fields(config_type(x))] or [""]
+    return _phrase([x for x in registry.names() if name in fields(config_type(x))])
+
+
+def _phrase(names: Sequence[str]) -> str:
+    *others, last = names or [""]
     return f"{', '.join(others)} and {last}" if others else last
 
 
@@ -292,14 +296,24 @@ published ones, one for accelerators, one that ends in seconds. An algorithm tak
 has, and then its own `presets`."""
 
 
+def presets_of(algorithm: str) -> tuple[str, ...]:
+    """The presets that an algorithm has: those that change what all share, and its own."""
+    own = registry.find(algorithm).presets
+    return tuple(x for x, shared in PRESETS.items() if x == "paper" or shared or x in own)
+
+
 def preset(name: str = "paper", algorithm: str = "mapg", **changes: Any) -> Config:
     """The configuration of a preset, with some fields changed.
 
     Raises:
-      ValueError: if there is no such preset, algorithm or field.
+      ValueError: if there is no such preset, algorithm or field, or the algorithm has no such
+        preset.
     """
     if name not in PRESETS:
         raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {name!r}")
+    if name not in presets_of(algorithm):
+        owners = _phrase([x for x in registry.names() if name in presets_of(x)])
+        raise ValueError(f"{name} is a preset of {owners}, not of {algorithm}")
     known = fields(config_type(algorithm))
     common = {field: value for field, value in PRESETS[name].items() if field in known}
     own = registry.find(algorithm).presets.get(name, {})

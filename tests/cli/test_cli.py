@@ -17,7 +17,7 @@ from mapg_jax.cli import train
 from mapg_jax.cli.main import COMMANDS
 from mapg_jax.runs import episode, memory, scoring
 from mapg_jax.runs.folder import RunFolder
-from mapg_jax.training.config import PRESETS, Config, fields, preset
+from mapg_jax.training.config import Config, fields, preset, presets_of
 
 TINY = (
     "--heads 3 --steps 400 --environments 4 --replay-size 200 --batch-size 8 --hidden 8 8 "
@@ -93,6 +93,7 @@ REFUSALS = [
         "train --algorithm a3c --heads 3",
         "--heads is an option of mapg, ",
     ),
+    ("train --algorithm naf --preset diverse", "diverse is a preset of mapg and td3, not of naf"),
     ("train --algorithm ppo --hold 3", "--hold is an option of mapg and td3, not of ppo"),
     ("train --algorithm trpo --repulsion stein", "--repulsion is an option of mapg and td3, not"),
     ("train --algorithm sac --target max", "--target is an option of mapg and td3, not of sac"),
@@ -323,8 +324,9 @@ def test_environments_are_listed(mapg):
             assert text in line
 
 
-@pytest.mark.parametrize("algorithm", ["mapg", "a3c"])
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize(
+    ("name", "algorithm"), [(name, x) for x in ("mapg", "a3c") for name in presets_of(x)]
+)
 def test_a_preset_sets_the_defaults_that_help_shows(mapg, name, algorithm, monkeypatch):
     started = []
     monkeypatch.setattr(train, "begin", lambda config, *_: started.append(config) or 1 / 0)

@@ -120,6 +120,7 @@ REFUSALS = [
         "--preset papr",
         "preset must be one of paper, diverse, reference, parallel, smoke, got 'papr'",
     ),
+    ("--algorithm mapg sac --preset diverse", "diverse is a preset of mapg and td3, not of sac"),
 ]
 
 
