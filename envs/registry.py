@@ -9,6 +9,8 @@ import typing
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from envs.values import fits, fitted
 
 if TYPE_CHECKING:  # at run time each is imported where an environment is made: see `envs`
@@ -138,7 +140,7 @@ def make(name: str, /, engine: str = "auto", **options: Any) -> "Env":
       **options: the constructor arguments of the task, Gymnasium's where it equals one of them.
 
     Raises:
-      ValueError: if the name, the engine or an option is unknown.
+      ValueError: if the name, the engine or an option is unknown, or its actions have no bounds.
     """
     found = spec(name)
     constructor = found.load()
@@ -147,7 +149,7 @@ def make(name: str, /, engine: str = "auto", **options: Any) -> "Env":
         engine = _default_engine(found)
     if engine not in found.engines:
         raise ValueError(f"{name} has no engine {engine!r}; it has {', '.join(found.engines)}")
-    return _as_env(name, constructor(**options), engine)
+    return _bounded(name, _as_env(name, constructor(**options), engine))
 
 
 def _default_engine(spec: EnvSpec) -> str:
@@ -205,6 +207,16 @@ def _as_env(name: str, made: Any, engine: str) -> "Env":
         return BraxEnv(made)
     raise ValueError(
         f"{name} must be an Env, a MujocoTask or an environment of Brax, got {type(made).__name__}"
+    )
+
+
+def _bounded(name: str, env: "Env") -> "Env":
+    """The environment, whose actions are shares of a bound."""
+    most = np.asarray(env.action_high)
+    if np.isfinite(most).all() and (most > 0).all():
+        return env
+    raise ValueError(
+        f"{name} has actions of up to {most.tolist()}: action_high must be finite and above 0"
     )
 
 

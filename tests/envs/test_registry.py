@@ -257,6 +257,19 @@ def test_what_is_made_must_be_an_environment():
         envs.make("task")
 
 
+@pytest.mark.usefixtures("registrations")
+@pytest.mark.parametrize("high", [np.inf, np.nan, 0.0, -1.0])
+def test_actions_without_bounds_are_refused(high):
+    class Unbounded(Line):
+        action_high = np.asarray([high], np.float32)
+
+    envs.register("unbounded", Unbounded, time_limit=1)
+    with pytest.raises(
+        ValueError, match=r"unbounded has actions of up to \[.*\]: action_high must"
+    ):
+        envs.make("unbounded")
+
+
 def test_an_installed_package_names_an_environment(installed):
     module = installed(
         "moon",
