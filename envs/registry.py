@@ -9,8 +9,6 @@ import typing
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from envs.values import fits, fitted
 
 if TYPE_CHECKING:  # at run time each is imported where an environment is made: see `envs`
@@ -212,6 +210,8 @@ def _as_env(name: str, made: Any, engine: str) -> "Env":
 
 def _bounded(name: str, env: "Env") -> "Env":
     """The environment, whose actions are shares of a bound."""
+    import numpy as np
+
     most = np.asarray(env.action_high)
     if np.isfinite(most).all() and (most > 0).all():
         return env

@@ -80,7 +80,7 @@ def section(plan: Plan) -> str:
         figure = draw_forest(groups, "P, the probability of improvement of M = 10 over M = 1")
         pictures.save(plan, figure, "carryover")
         text += "\n\n![Probability of improvement by algorithm and task](carryover.png)"
-    return f"{text}\n\n{score_table(plan, everything).markdown()}"
+    return f"{text}\n\n{score_table(plan).markdown()}"
 
 
 def forest(pairs: Mapping[str, Pair]) -> dict[str, Any]:
@@ -98,19 +98,24 @@ def verdict_table(plan: Plan) -> Table:
     return Table(("", "", "verdict", "effect (95 %)", "evidence"), lines)
 
 
-def score_table(plan: Plan, everything: Mapping[str, Comparison]) -> Table:
-    """Mean scores of both arms on each task."""
+def score_table(plan: Plan) -> Table:
+    """Mean scores of every arm on each task; with one head both ratios are the same."""
     lines = []
-    for name, comparison in everything.items():
+    for name, comparison in comparisons(plan).items():
         for label, changes in (("M = 1", comparison.theirs), ("M = 10", comparison.ours)):
-            cells = [
-                scores.summary(scores.means(plan, plan.over_seeds(env, **changes)))
-                if env in comparison.envs
-                else ""
-                for env in plan.carried
-            ]
-            lines.append([name, label, *cells])
+            lines.append([name, label, *_score_cells(plan, comparison, changes)])
+    for name, comparison in beside(plan).items():
+        lines.append([name, "M = 10", *_score_cells(plan, comparison, comparison.ours)])
     return Table(("algorithm", "", *plan.carried), lines)
+
+
+def _score_cells(plan: Plan, comparison: Comparison, changes: Mapping[str, Any]) -> list[str]:
+    return [
+        scores.summary(scores.means(plan, plan.over_seeds(env, **changes)))
+        if env in comparison.envs
+        else ""
+        for env in plan.carried
+    ]
 
 
 def ledger(plan: Plan) -> list[Verdict]:
