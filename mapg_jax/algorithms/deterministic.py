@@ -79,7 +79,8 @@ class Deterministic:
         actor = Actor(
             heads=options.heads, action_size=action_size, spread=options.head_spread, **shared
         )
-        return cls(actor, Critic(**shared), adam(options.max_gradient_norm), options)
+        critic = Critic(action_layer=options.action_layer, **shared)
+        return cls(actor, critic, adam(options.max_gradient_norm), options)
 
     @classmethod
     def hyper(cls, options: Any) -> Any:

@@ -13,7 +13,7 @@ from flax import struct
 from mapg_jax.algorithms.exploration import Noise
 from mapg_jax.algorithms.heads import Behaviour
 from mapg_jax.algorithms.networks import LAST_LAYER_SCALE
-from mapg_jax.algorithms.options import Options, option
+from mapg_jax.algorithms.options import CriticOptions, option
 from mapg_jax.algorithms.repulsion import Repulsion
 
 GradientRule = Literal["stored", "resampled", "all"]
@@ -25,7 +25,7 @@ WHOLE_EPISODE = 2**31 - 1  # steps; no episode is as long
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class HeadOptions(Options):
+class HeadOptions(CriticOptions):
     """The numbers of an actor with deterministic heads, and of the critic that they climb."""
 
     tau: float = option(

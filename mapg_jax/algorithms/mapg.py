@@ -50,6 +50,7 @@ class Mapg(Deterministic):
             "noise_scale": 0.1,
             "learning_starts": 25_000,
             "random_start": True,
+            "action_layer": 1,
         },
         "parallel": {  # the proportions of PQL's DDPG (Li et al. 2023): fast targets, a ladder
             "actor_learning_rate": 5e-4,

@@ -112,10 +112,12 @@ class Actor(nn.Module):
 
 
 class Critic(nn.Module):
-    """Q(s, a) of K actions a state; the action joins at the second hidden layer."""
+    """Q(s, a) of K actions a state."""
 
     hidden: tuple[int, ...]
     layer_norm: bool
+    action_layer: int = 2
+    """The hidden layer that the action joins, counted from 1."""
 
     @nn.compact
     def __call__(
@@ -123,9 +125,10 @@ class Critic(nn.Module):
         observation: Float[Array, "*B D"],
         actions: Float[Array, "*B K A"],
     ) -> Float[Array, "*B K"]:
-        first, second, *rest = self.hidden
-        x = nn.Dense(first, kernel_init=_hidden_init)(observation)
-        x = self._join(_Rectifier(self.layer_norm)(x), actions, second)
+        before = self.hidden[: self.action_layer - 1]
+        width, *rest = self.hidden[self.action_layer - 1 :]
+        x = _trunk(observation, before, self.layer_norm)
+        x = self._join(x, actions, width)
         x = _trunk(_Rectifier(self.layer_norm)(x), rest, self.layer_norm)
         kernel = self.param("kernel", _last_layer_uniform, (x.shape[-1],))
         return x @ kernel + self.param("bias", _last_layer_uniform, ())

@@ -74,6 +74,19 @@ class Options:
             )
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CriticOptions(Options):
+    """Beside these, what a critic of states and actions reads."""
+
+    action_layer: int = option(
+        2,
+        "The hidden layer of the critic that the action joins: the second, as in DDPG, or the "
+        "first, as in TD3 and SAC.",
+        at_least=1,
+        at_most=2,
+    )
+
+
 _WITHIN = {
     "at least": lambda value, bound: value >= bound,
     "above": lambda value, bound: value > bound,

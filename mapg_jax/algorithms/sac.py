@@ -19,7 +19,7 @@ from mapg_jax.algorithms.base import Experience, Explored, Transition, traced
 from mapg_jax.algorithms.descent import Params, adam, minimize, towards
 from mapg_jax.algorithms.mixture import log_density
 from mapg_jax.algorithms.networks import Critic, GaussianHeads
-from mapg_jax.algorithms.options import Options, option
+from mapg_jax.algorithms.options import CriticOptions, option
 from mapg_jax.algorithms.returns import td_target
 
 GradientRule = Literal["all", "stored"]
@@ -27,7 +27,7 @@ GradientRule = Literal["all", "stored"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class SacOptions(Options):
+class SacOptions(CriticOptions):
     """The numbers of SAC, as CleanRL has them."""
 
     actor_learning_rate: float = option(3e-4, "Of Adam, for the actor.", above=0)
@@ -110,7 +110,7 @@ class Sac:
     experience: ClassVar[Experience] = "replay"
     selects: ClassVar[tuple[str, ...]] = ("uniform", "argmax-q", "mean", "first", "sample")
     presets: ClassVar = {
-        "reference": {"learning_starts": 5_000, "random_start": True},
+        "reference": {"learning_starts": 5_000, "random_start": True, "action_layer": 1},
         "parallel": {"actor_learning_rate": 5e-4, "critic_learning_rate": 5e-4, "tau": 0.05},
     }
 
@@ -128,8 +128,9 @@ class Sac:
         actor = GaussianHeads(
             heads=options.heads, action_size=action_size, spread=options.head_spread, **shared
         )
+        critic = Critic(action_layer=options.action_layer, **shared)
         optimizer = adam(options.max_gradient_norm)
-        return cls(actor, Critic(**shared), optimizer, options.gradient, options.random_start)
+        return cls(actor, critic, optimizer, options.gradient, options.random_start)
 
     @classmethod
     def hyper(cls, options: SacOptions) -> Hyperparameters:

@@ -70,7 +70,11 @@ class Td3(Deterministic):
     Hyper: ClassVar = Hyperparameters
     presets: ClassVar = {
         "diverse": DIVERSE,
-        "reference": {"learning_starts": 25_000, "random_start": True},  # sfujim/TD3
+        "reference": {  # sfujim/TD3
+            "learning_starts": 25_000,
+            "random_start": True,
+            "action_layer": 1,
+        },
         "parallel": {"actor_learning_rate": 5e-4, "critic_learning_rate": 5e-4, "tau": 0.05,
                      "noise_scale": 0.05, "noise_scale_last": 0.8},
     }  # fmt: skip

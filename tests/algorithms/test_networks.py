@@ -135,3 +135,18 @@ def test_the_action_joins_at_the_second_layer():
     to_state, to_action = jax.grad(total, (0, 1))(observation, actions)
     assert not to_state.any()
     assert to_action.any()
+
+
+def test_an_action_that_joins_at_the_first_layer_stands_beside_the_state():
+    """Q is a plain network of [s, a], as in TD3 and SAC."""
+    critic = Critic(hidden=HIDDEN, layer_norm=False, action_layer=1)
+    observation, actions = inputs(7, 3)
+    params = jax.jit(critic.init)(jax.random.key(0), observation, actions)
+    found = critic.apply(params, observation, actions)
+    p = jax.tree.map(np.asarray, params["params"])
+    for k in range(3):
+        x = np.concatenate([observation, actions[:, k]], 1)
+        x = x @ np.concatenate([p["features_kernel"], p["action_kernel"]]) + p["joint_bias"]
+        x = np.maximum(x, 0) @ p["Dense_0"]["kernel"] + p["Dense_0"]["bias"]
+        expected = np.maximum(x, 0) @ p["kernel"] + p["bias"]
+        np.testing.assert_allclose(found[:, k], expected, rtol=1e-5, atol=1e-6)
