@@ -115,7 +115,12 @@ class Naf:
     experience: ClassVar[Experience] = "replay"
     selects: ClassVar[tuple[str, ...]] = get_args(heads_.Select)
     presets: ClassVar = {
-        "reference": {"hidden": (200, 200), "batch_size": 100, "updates_per_step": 5.0}
+        "reference": {
+            "hidden": (200, 200),
+            "batch_size": 100,
+            "updates_per_step": 5.0,
+            "layer_norm": True,  # features that nothing bounds make one seed in two fail
+        }
     }
 
     critic: Peaks
