@@ -35,6 +35,11 @@ class NafOptions(Options):
     max_gradient_norm: float | None = option(
         None, "Gradients are scaled down to this norm; none by default.", above=0
     )
+    value_unit: float = option(
+        1.0,
+        "The reward that counts as 1 in the network's Q: as if rewards were divided by it.",
+        above=0,
+    )
     noise: Noise = option(
         "ou",
         "Exploration noise added to the action: Ornstein-Uhlenbeck, Gaussian or none.",
@@ -119,8 +124,7 @@ class Naf:
             "hidden": (200, 200),
             "batch_size": 100,
             "updates_per_step": 5.0,
-            "noise": "gaussian",  # by noise as slow as DDPG's, here, one seed in two fails
-            "noise_scale": 0.3,
+            "value_unit": 100.0,  # as keras-rl divides Pendulum's rewards
         }
     }
 
@@ -128,6 +132,7 @@ class Naf:
     optimizer: optax.GradientTransformation
     """Scales gradients; the learning rate is applied after it."""
     noise: Noise
+    value_unit: float
 
     @classmethod
     def make(cls, options: NafOptions, action_size: int) -> "Naf":
@@ -139,7 +144,8 @@ class Naf:
             layer_norm=options.layer_norm,
             spread=options.head_spread,
         )
-        return cls(critic, adam(options.max_gradient_norm), options.noise)
+        optimizer = adam(options.max_gradient_norm)
+        return cls(critic, optimizer, options.noise, options.value_unit)
 
     @classmethod
     def hyper(cls, options: NafOptions) -> Hyperparameters:
@@ -172,9 +178,13 @@ class Naf:
         r"""Q over the actions of each state: $b_m = \beta_m - \max_j \beta_j$.
 
         V alone moves the level, so that with one peak, whose b is 0, nothing beside NAF learns.
+        The network tells all in `value_unit`. Where that is small beside the returns, V lags, and
+        the peaks flee to the bounds to make up for it.
         """
         value, peaks, cholesky, height = cast(tuple, self.critic.apply(critic, observation))
-        return Landscape(value, peaks, cholesky, height - _highest(height, heads)[..., None])
+        height = height - _highest(height, heads)[..., None]
+        unit = self.value_unit
+        return Landscape(unit * value, peaks, unit**0.5 * cholesky, unit * height)
 
     def explorer(self, environments: int) -> Float[Array, "N A"]:
         """The noise, which starts at 0 with every episode."""

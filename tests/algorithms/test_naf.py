@@ -1,6 +1,7 @@
 """NAF's peaks: the maximum of Q is at the highest; one peak is NAF, step by step."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -112,6 +113,25 @@ def test_an_update_is_nafs_of_the_highest_peak(heads, padded):
     for found, expected in ((learner.critic, plain), (learner.critic_target, target)):
         for x, y in zip(jax.tree.leaves(found), expected.values(), strict=True):
             np.testing.assert_allclose(x, y, rtol=1e-3, atol=2e-5)
+
+
+def test_a_unit_of_value_is_as_rewards_divided_by_it():
+    """Parameters move alike, and Q is larger by the unit, to what Adam's ε makes of gradients."""
+    found = []
+    for unit in (1.0, 4.0):
+        options = NafOptions(heads=M, hidden=(8, 8), learning_rate=1e-2, tau=0.1, value_unit=unit)
+        algorithm, hyper = Naf.make(options, A), Naf.hyper(options)
+        learner = jax.jit(algorithm.init, static_argnums=1)(jax.random.key(0), 3)
+        update = jax.jit(algorithm.update)
+        for i in range(3):
+            batch = make_batch(i)
+            batch = batch._replace(reward=unit * batch.reward)
+            learner, _ = update(learner, hyper, batch, jax.random.key(i))
+        batch = make_batch(9)
+        q = algorithm.q_values(learner, hyper, batch.observation, batch.action[:, None])
+        found.append((learner.critic, q / unit))
+    close = functools.partial(np.testing.assert_allclose, rtol=1e-3, atol=1e-3)
+    jax.tree.map(close, *found)  # three steps of up to 1e-2
 
 
 def test_a_large_number_beside_the_diagonal_stays_one():

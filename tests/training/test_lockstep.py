@@ -194,7 +194,7 @@ def changed(config: Config, name: str) -> Config:
     others = {
         "env": "hopper", "env_options": ("g=9.81",), "engine": "jax", "hidden": (8, 8),
         "time_limit": 7, "noise_scale_last": 0.3, "rollout_steps": 64, "minibatches": 16,
-        "annealing_updates": 1_000,
+        "annealing_updates": 1_000, "action_layer": 1,
     }  # fmt: skip
     value = getattr(config, name)
     hint = typing.get_type_hints(type(config))[name]
