@@ -116,7 +116,7 @@ class Critic(nn.Module):
 
     hidden: tuple[int, ...]
     layer_norm: bool
-    action_layer: int = 2
+    action_layer: int
     """The hidden layer that the action joins, counted from 1."""
 
     @nn.compact

@@ -24,7 +24,7 @@ def make_actor(heads, hidden=HIDDEN, layer_norm=True, action_size=A):
 
 @functools.cache
 def make_critic(hidden=HIDDEN, layer_norm=True):
-    critic = Critic(hidden=hidden, layer_norm=layer_norm)
+    critic = Critic(hidden=hidden, layer_norm=layer_norm, action_layer=2)
     params = jax.jit(critic.init)(jax.random.key(0), jnp.zeros((1, D)), jnp.zeros((1, 1, A)))
     return critic, params
 
