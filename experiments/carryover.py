@@ -1,11 +1,11 @@
 """Other algorithms with several actions, against themselves with one (C10)."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
-from experiments import pictures, rows, scores
-from experiments.comparisons import ALPHA, Comparison, Pair
+from experiments import comparisons, pictures, rows, scores
+from experiments.comparisons import ALPHA, Comparison
 from experiments.plan import DDPG, MAPG, Plan
 from experiments.verdicts import (
     CONTRADICTED,
@@ -18,7 +18,7 @@ from experiments.verdicts import (
 from mapg_jax.reports.document import Table
 from mapg_jax.reports.inference import holm
 from mapg_jax.reports.plots import draw_forest
-from mapg_jax.reports.stratified import Test, effect, least_p, van_elteren
+from mapg_jax.reports.stratified import Test, effect, power, van_elteren
 from mapg_jax.training.config import Config
 
 NAMED = ("naf", "trpo")
@@ -31,12 +31,12 @@ MARGINAL: Mapping[str, Any] = {"gradient": "marginal"}
 
 def runs(plan: Plan) -> list[Config]:
     """All that C10 is judged on, and then what is shown beside it; seed by seed of each."""
-    arms = [*comparisons(plan).values(), *beside(plan).values()]
+    arms = [*judged(plan).values(), *beside(plan).values()]
     by_seed = [sorted(arm.runs(plan), key=lambda config: config.seed) for arm in arms]
     return list(dict.fromkeys(itertools.chain.from_iterable(by_seed)))
 
 
-def comparisons(plan: Plan) -> dict[str, Comparison]:
+def judged(plan: Plan) -> dict[str, Comparison]:
     """Of every algorithm, M = 10 and M = 1."""
     return {name: _comparison(plan, name, {}) for name in ALGORITHMS}
 
@@ -65,8 +65,8 @@ def section(plan: Plan) -> str:
     """A table of verdicts, a picture of effects, and the scores."""
     if not scores.of(plan, runs(plan)):
         return rows.missing(runs(plan))
-    everything = {**comparisons(plan), **beside(plan)}
-    groups = {name: forest(comparison.pairs(plan)) for name, comparison in everything.items()}
+    everything = {**judged(plan), **beside(plan)}
+    groups = {name: c.effects(c.pairs(plan)) for name, c in everything.items()}
     groups = {name: lines for name, lines in groups.items() if lines}
     text = (
         f"Each algorithm by the preset `{plan.preset}`, {steps(plan):,} steps, five seeds: "
@@ -83,25 +83,18 @@ def section(plan: Plan) -> str:
     return f"{text}\n\n{score_table(plan).markdown()}"
 
 
-def forest(pairs: Mapping[str, Pair]) -> dict[str, Any]:
-    """Task → effect; the last is that of the tasks together."""
-    found = {
-        f"{env} (n = {len(pair[0])} + {len(pair[1])})": effect([pair])
-        for env, pair in pairs.items()
-    }
-    return {**found, "together": effect(list(pairs.values()))} if found else {}
-
-
 def verdict_table(plan: Plan) -> Table:
     """One line an algorithm."""
-    lines = [(v.claim, v.text, f"**{v.verdict}**", v.effect, v.evidence) for v in ledger(plan)]
-    return Table(("", "", "verdict", "effect (95 %)", "evidence"), lines)
+    lines = [
+        (v.claim, v.text, f"**{v.verdict}**", v.effect, v.power, v.evidence) for v in ledger(plan)
+    ]
+    return Table(("", "", "verdict", "effect (95 %)", "power", "evidence"), lines)
 
 
 def score_table(plan: Plan) -> Table:
     """Mean scores of every arm on each task; with one head both ratios are the same."""
     lines = []
-    for name, comparison in comparisons(plan).items():
+    for name, comparison in judged(plan).items():
         for label, changes in (("M = 1", comparison.theirs), ("M = 10", comparison.ours)):
             lines.append([name, label, *_score_cells(plan, comparison, changes)])
     for name, comparison in beside(plan).items():
@@ -111,21 +104,20 @@ def score_table(plan: Plan) -> Table:
 
 def _score_cells(plan: Plan, comparison: Comparison, changes: Mapping[str, Any]) -> list[str]:
     return [
-        scores.summary(scores.means(plan, plan.over_seeds(env, **changes)))
-        if env in comparison.envs
-        else ""
+        scores.of_cell(plan, plan.over_seeds(env, **changes)) if env in comparison.envs else ""
         for env in plan.carried
     ]
 
 
 def ledger(plan: Plan) -> list[Verdict]:
     """A verdict for each algorithm, at Holm's level over all five."""
-    found = comparisons(plan)
-    tests = {name: test(plan, comparison) for name, comparison in found.items()}
-    adjusted = holm([1.0 if t is None else t.either for t in tests.values()])
+    found = judged(plan)
+    tests = [test(plan, comparison) for comparison in found.values()]
+    adjusted = holm([1.0 if t is None else t.either for t in tests])
+    level = ALPHA / max(1, sum(p >= ALPHA for p in adjusted))
     return [
-        _judge(plan, comparison, tests[name], p)
-        for (name, comparison), p in zip(found.items(), adjusted, strict=True)
+        _judge(plan, comparison, None if t is None else p, level)
+        for comparison, t, p in zip(found.values(), tests, adjusted, strict=True)
     ]
 
 
@@ -138,22 +130,20 @@ def test(plan: Plan, comparison: Comparison) -> Test | None:
     return van_elteren(list(pairs.values()))
 
 
-def _judge(plan: Plan, comparison: Comparison, found: Test | None, p: float) -> Verdict:
+def _judge(plan: Plan, comparison: Comparison, p: float | None, level: float) -> Verdict:
+    """At the adjusted p, None where there is no test; power is by the level that Holm leaves."""
     claim, text = comparison.claims[0], comparison.text
-    if found is None:
+    if p is None:
         return Verdict(claim, text, waiting(plan, comparison.runs(plan)) or undecidable(0))
     pairs = comparison.pairs(plan)
-    sizes = [(len(ours), len(theirs)) for ours, theirs in pairs.values()]
-    verdict = UNDECIDED if 2 * len(ALGORITHMS) * least_p(sizes) < ALPHA else _cannot(sizes)
-    if p < ALPHA:
-        verdict = SUPPORTED if found.statistic > 0 else CONTRADICTED
-    evidence = f"p = {found.either:.2g}, adjusted {p:.2g}"
+    verdict = comparisons.together(comparison.signed(pairs), p, len(ALGORITHMS))
+    chance = ""
+    if verdict == UNDECIDED:
+        chance = f"{power(comparisons.moved(comparison, pairs), level).together:.0%}"
+    late = comparisons.second(plan, comparison, pairs)
+    evidence = f"adjusted p = {p:.2g}; {comparisons.tests(comparison, pairs, late)}"
     shown = f"P {effect(list(pairs.values())):.2f}"
-    return Verdict(claim, text, verdict, shown, evidence=evidence)
-
-
-def _cannot(sizes: Sequence[tuple[int, int]]) -> str:
-    return undecidable(min(map(min, sizes)))
+    return Verdict(claim, text, verdict, shown, chance, evidence)
 
 
 def together(plan: Plan) -> Verdict:
@@ -161,7 +151,7 @@ def together(plan: Plan) -> Verdict:
     of_named = [v for v, name in zip(ledger(plan), ALGORITHMS, strict=True) if name in NAMED]
     verdicts = [verdict.verdict for verdict in of_named]
     undecidable = [v for v in verdicts if v not in (SUPPORTED, CONTRADICTED, UNDECIDED)]
-    found = comparisons(plan)
+    found = judged(plan)
     verdict = UNDECIDED
     if left := waiting(plan, [c for name in NAMED for c in found[name].runs(plan)]):
         verdict = left

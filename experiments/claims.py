@@ -7,6 +7,7 @@ import numpy as np
 
 from experiments import (
     carryover,
+    curves,
     fig2,
     fig3,
     fig4,
@@ -18,7 +19,7 @@ from experiments import (
     table2,
     torcs,
 )
-from experiments.comparisons import ALPHA, Comparison, judge
+from experiments.comparisons import ALPHA, Comparison, Score, judge
 from experiments.plan import A3C, DDPG, MAPG, NO_NOISE, Plan
 from experiments.verdicts import (
     CONTRADICTED,
@@ -58,7 +59,8 @@ def section(plan: Plan) -> str:
     return (
         f"{Table(header, lines).markdown()}\n\n"
         "P is the probability of improvement: the share of pairs of seeds in which the first named "
-        "scores higher, with its 95 % interval over seeds. Power, of what is undecided: how often "
+        "scores higher, with its 95 % interval over seeds; one of no width says that all pairs "
+        "agree, and not how sure that is: p does. Power, of what is undecided: how often "
         "the rule would say supported if the paper's ratio of means were true (or, where it has "
         "none, one standard deviation lay between the arms). Version 1 judged "
         "its own runs by its own rules; no number here averages both.\n\n"
@@ -108,17 +110,25 @@ def c2a(plan: Plan) -> Verdict:
     left = waiting(plan, [config for cell in cells for config in cell])
     least = min(len(scores.of(plan, cell)) for cell in cells)
     for env in envs:
-        groups = {m: scores.means(plan, plan.over_seeds(env, heads=m)) for m in (1, *plan.heads)}
-        groups = {m: of_m for m, of_m in groups.items() if len(of_m)}
-        if len(groups) > 1:
-            levels = 0.95, 1 - 0.05 / len(envs)
-            estimates = [statistics.spearman(groups, level) for level in levels]
-            narrow.append(estimates[0].low > 0)
-            wide.append(estimates[1].high < 0)
-            shown.append(f"{env} {estimates[0]:.2f}")
+        if groups := _by_heads(plan, env, scores.means):
+            estimate = statistics.spearman(groups)
+            narrow.append(estimate.low > 0)
+            wide.append(statistics.spearman(groups, 1 - 0.05 / len(envs)).high < 0)
+            shown.append(f"{env} {estimate:.2f}")
     verdict = left or by_seeds(least, len(narrow) == len(envs) and all(narrow), any(wide))
     effect = f"rank correlation: {'; '.join(shown)}" if shown else ""
-    return Verdict("C2a", "the score grows with M on Hopper and Walker2d", verdict, effect)
+    late = {env: _by_heads(plan, env, curves.late) for env in envs}
+    second = [f"{env} {statistics.spearman(of_env):.2f}" for env, of_env in late.items() if of_env]
+    evidence = f"by the second score {'; '.join(second)}" if second else ""
+    text = "the score grows with M on Hopper and Walker2d"
+    return Verdict("C2a", text, verdict, effect, evidence=evidence)
+
+
+def _by_heads(plan: Plan, env: str, score: Score) -> dict[int, np.ndarray]:
+    """The scores of each M on one task; nothing while there are fewer than two of them."""
+    groups = {m: score(plan, plan.over_seeds(env, heads=m)) for m in (1, *plan.heads)}
+    groups = {m: of_m for m, of_m in groups.items() if len(of_m)}
+    return groups if len(groups) > 1 else {}
 
 
 def c3(plan: Plan) -> Verdict:
@@ -127,14 +137,27 @@ def c3(plan: Plan) -> Verdict:
     n = len(found.spikes)
     step, reward, spikes = (statistics.student(values) for values in found)
     text = "the spread of the actions falls while the return rises, with spikes that stay"
-    verdict = waiting(plan, fig2.runs(plan)) or by_seeds(
+    verdict = waiting(plan, fig2.runs(plan), curves.FILE) or by_seeds(
         n, step.high < 0 and reward.high < 0 and spikes.low > 0, max(step.low, reward.low) > 0
     )
     effect = (
         f"rank correlation of spread with step {step:.2f}, with return, detrended, {reward:.2f}; "
         f"log of the highest spike over chance {spikes:.2f}"
     )
-    return Verdict("C3", text, verdict, effect if n else "", evidence=count(*found) if n else "")
+    parts = {
+        "that it falls": _side(step, -1),
+        "that it falls as the return rises": _side(reward, -1),
+        "that spikes stay": _side(spikes, 1),
+    }
+    evidence = f"{'; '.join(f'{part}: {side}' for part, side in parts.items())}; {count(*found)}"
+    return Verdict("C3", text, verdict, effect if n else "", evidence=evidence if n else "")
+
+
+def _side(estimate: statistics.Estimate, claimed: int) -> str:
+    """Where a number's interval lies, whose sign is claimed."""
+    if estimate.low <= 0 <= estimate.high or not math.isfinite(estimate.low):
+        return UNDECIDED
+    return SUPPORTED if math.copysign(1, estimate.low) == claimed else CONTRADICTED
 
 
 def c4a(plan: Plan) -> Verdict:
@@ -143,7 +166,9 @@ def c4a(plan: Plan) -> Verdict:
     with np.errstate(divide="ignore", invalid="ignore"):  # no spread, no ratio
         ratio = np.log(spread["hanging"] / spread["between"])
     peak = statistics.student(ratio)
-    verdict = waiting(plan, fig3.judged(plan)) or by_seeds(len(ratio), peak.low > 0, peak.high < 0)
+    verdict = waiting(plan, fig3.judged(plan), fig3.BINS) or by_seeds(
+        len(ratio), peak.low > 0, peak.high < 0
+    )
     text = "within an episode the spread peaks as the pendulum hangs down"
     effect = f"log ratio of the spread near 0° to that at 30° to 150° {peak:.2f}"
     shown = len(ratio) > 0
@@ -158,7 +183,7 @@ def c4b(plan: Plan) -> Verdict:
     arms = [
         fig3.spread_by_seed(plan, of)["upright"] for of in (fig3.judged(plan), fig3.floor(plan))
     ]
-    left = waiting(plan, fig3.runs(plan))
+    left = waiting(plan, fig3.runs(plan), fig3.BINS)
     found = [np.array(arm) for arm in arms]
     if not all(len(arm) and np.isfinite(arm).all() for arm in found):
         return Verdict("C4b", text, left or undecidable(0))
@@ -213,10 +238,7 @@ def c8(plan: Plan) -> Verdict:
         above.append(wide.low > 0.1)
         if ratios:
             shown.append(f"{env} {narrow:.2g}, {count(ratios)}")
-    left = waiting(plan, returns.runs(plan))
-    trained = len(scores.of(plan, returns.runs(plan)))
-    if not left and sum(sizes) < trained:
-        left = f"not yet: measured on {sum(sizes)} of {trained} runs"
+    left = waiting(plan, returns.runs(plan), returns.FILE)
     verdict = left or by_seeds(min(sizes), all(below), any(above))
     text = "all proposals of an optimal policy have the same expected return"
     effect = f"scatter between heads over that between actions at random: {'; '.join(shown)}"
@@ -239,7 +261,8 @@ JUDGES: tuple[Callable[[Plan], Verdict], ...] = (
 
 def earlier(plan: Plan, claim: str) -> str:
     """Version 1's verdict of the claim of that name, or of the whole that it is a part of."""
-    verdicts = {row["claim"]: row["verdict"] for row in rows.read(plan.results / EARLIER)}
+    found = rows.read(plan.results / EARLIER, ("claim", "verdict"))
+    verdicts = {row["claim"]: row["verdict"] for row in found}
     name = claim.split()[0]
     return verdicts.get(name, verdicts.get(name.rstrip("ab"), ""))
 

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from experiments import curves, pictures, rows
 from experiments.plan import MAPG, Plan
 from mapg_jax.reports import inference as statistics
@@ -10,8 +12,9 @@ from mapg_jax.reports.document import Table
 from mapg_jax.reports.plots import draw_curves
 from mapg_jax.training.config import Config
 
+THE_PAPERS = "the paper's"
 ARMS: Mapping[str, Mapping[str, Any]] = {
-    "the paper's": MAPG,
+    THE_PAPERS: MAPG,
     "resampled": {**MAPG, "gradient": "resampled"},
     "all": {**MAPG, "gradient": "all"},
     "wide start": {**MAPG, "head_spread": 1.0},
@@ -47,11 +50,25 @@ def section(plan: Plan) -> str:
     tasks = {env: arms for env, arms in tasks.items() if arms}
     if not tasks:
         return rows.missing(runs(plan))
-    figure = draw_curves(tasks, "spread", "spread of the proposals")
+    pictures.save(plan, draw(tasks), "collapse")
+    caption = (
+        "A panel an arm, all with the same axes: the mean over seeds and, between thin lines, its "
+        "95 % interval. The spread is in units of the actions, which are in [-1, 1]."
+    )
+    picture = "![Spread over training](collapse.png)"
+    return "\n\n".join((ARGUMENT, picture, caption, table(tasks).markdown()))
+
+
+def draw(tasks):
+    """A panel an arm, a line a task: ten arms in one panel lie on each other."""
+    found = {k: {env: arms[k] for env, arms in tasks.items() if k in arms} for k in ARMS}
+    found = {k: of_arm for k, of_arm in found.items() if of_arm}
+    figure = draw_curves(found, "spread", "spread")
+    figure.set_size_inches(10, 11)
+    limits = np.array([axes.dataLim.intervaly for axes in figure.axes])
     for axes in figure.axes:
-        axes.set_yscale("log")  # the arms differ by orders of magnitude
-    pictures.save(plan, figure, "collapse")
-    return "\n\n".join((ARGUMENT, "![Spread over training](collapse.png)", table(tasks).markdown()))
+        axes.set(yscale="log", ylim=(limits[:, 0].min(), limits[:, 1].max()))
+    return figure
 
 
 ARGUMENT = """The head is drawn apart from the state, so the objective is the mean over m of the
@@ -67,8 +84,14 @@ def table(tasks) -> Table:
     """Spread and relative Q-gap at the last evaluation, means with intervals over seeds."""
     lines = []
     for env, arms in tasks.items():
-        for label, found in arms.items():
-            last = {k: [curve[k][-1] for curve in found] for k in ("spread", "q_gap_relative")}
-            cells = [f"{statistics.mean(values):.2g}" for values in last.values()]
-            lines.append([env, label, *cells, f"n = {len(found)}"])
-    return Table(("task", "arm", "spread", "Q-gap / deviation of Q", ""), lines)
+        spread, gap = (
+            {k: [curve[column][-1] for curve in found] for k, found in arms.items()}
+            for column in ("spread", "q_gap_relative")
+        )
+        usual = np.mean(spread[THE_PAPERS]) if THE_PAPERS in spread else np.nan
+        for label in arms:
+            ratio = f"{np.mean(spread[label]) / usual:.2g}"
+            means = [f"{statistics.mean(of[label]):.2g}" for of in (spread, gap)]
+            lines.append([env, label, means[0], ratio, means[1], f"n = {len(arms[label])}"])
+    header = ("task", "arm", "spread", "over the paper's", "Q-gap / deviation of Q", "")
+    return Table(header, lines)

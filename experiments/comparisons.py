@@ -8,6 +8,7 @@ import numpy as np
 from experiments import curves, scores, table2
 from experiments.plan import Plan
 from experiments.verdicts import CONTRADICTED, SUPPORTED, UNDECIDED, Verdict, undecidable, waiting
+from mapg_jax.reports.inference import Estimate
 from mapg_jax.reports.stratified import effect, least_p, power, van_elteren
 from mapg_jax.training.config import Config
 
@@ -45,6 +46,16 @@ class Comparison(NamedTuple):
             found[env] = score(plan, ours), score(plan, theirs)
         return {env: pair for env, pair in found.items() if all(map(len, pair))}
 
+    def effects(self, pairs: Mapping[str, Pair]) -> dict[str, Estimate]:
+        """By task; and of the tasks together, once all of them have both arms."""
+        found = {
+            f"{env} (n = {len(ours)} + {len(theirs)})": effect([(ours, theirs)])
+            for env, (ours, theirs) in pairs.items()
+        }
+        if set(pairs) == set(self.envs):
+            found["together"] = effect(list(pairs.values()))
+        return found
+
     def signed(self, pairs: Mapping[str, Pair]) -> list[Pair]:
         """The pairs, so that the claim is that ours are above."""
         sign = 1 if self.above else -1
@@ -58,7 +69,6 @@ class Comparison(NamedTuple):
 def judge(plan: Plan, comparison: Comparison) -> list[Verdict]:
     """Both forms of a claim."""
     pairs = comparison.pairs(plan)
-    together, each = comparison.claims
     texts = f"{comparison.text}, over the tasks together", f"{comparison.text}, on every task"
     left = waiting(plan, comparison.runs(plan))
     if set(pairs) != set(comparison.envs):
@@ -66,32 +76,37 @@ def judge(plan: Plan, comparison: Comparison) -> list[Verdict]:
         verdict = left or undecidable(0)
         return [
             Verdict(claim, text, verdict, evidence=missing)
-            for claim, text in zip((together, each), texts, strict=True)
+            for claim, text in zip(comparison.claims, texts, strict=True)
         ]
     signed = comparison.signed(pairs)
-    verdicts = [left or _together(signed), left or _each(signed)]
+    verdicts = [left or together(signed), left or _each(signed)]
     chances = ["", ""]
     if UNDECIDED in verdicts:
-        chances = [f"{chance:.0%}" for chance in power(_moved(comparison, pairs))]
+        chances = [f"{chance:.0%}" for chance in power(moved(comparison, pairs))]
     chances = [c if v == UNDECIDED else "" for c, v in zip(chances, verdicts, strict=True)]
-    late = comparison.pairs(plan, curves.late)
+    late = second(plan, comparison, pairs)
     effects = {env: effect([pair]) for env, pair in pairs.items()}
     shares = "; ".join(f"{env} {shown:.2f}" for env, shown in effects.items())
-    return [
-        Verdict(together, texts[0], verdicts[0], f"P {effect(list(pairs.values())):.2f}",
-                chances[0], _tests(comparison, pairs, late)),
-        Verdict(each, texts[1], verdicts[1], f"P: {shares}", chances[1],
-                _tests_of_each(comparison, pairs, late)),
-    ]  # fmt: skip
+    shown = f"P {effect(list(pairs.values())):.2f}", f"P: {shares}"
+    evidence = tests(comparison, pairs, late), _tests_of_each(comparison, pairs, late)
+    lines = zip(comparison.claims, texts, verdicts, shown, chances, evidence, strict=True)
+    return [Verdict(*line) for line in lines]
 
 
-def _together(signed: Sequence[Pair]) -> str:
-    """The verdict of the stratified test."""
+def together(signed: Sequence[Pair], p: float | None = None, tests: int = 1) -> str:
+    """The verdict of the stratified test.
+
+    Args:
+      signed: scores by task, so that the claim is that the first are above.
+      p: adjusted, where it is one of several tests.
+      tests: how many they are; the least p that can be reached is adjusted by them.
+    """
     found = van_elteren(signed)
-    if found.either < ALPHA:
+    if (found.either if p is None else p) < ALPHA:
         return SUPPORTED if found.statistic > 0 else CONTRADICTED
     sizes = [(len(ours), len(theirs)) for ours, theirs in signed]
-    return UNDECIDED if 2 * least_p(sizes) < ALPHA else undecidable(min(map(min, sizes)))
+    reachable = 2 * tests * least_p(sizes) < ALPHA
+    return UNDECIDED if reachable else undecidable(min(map(min, sizes)))
 
 
 def _each(signed: Sequence[Pair]) -> str:
@@ -107,9 +122,16 @@ def _each(signed: Sequence[Pair]) -> str:
     return UNDECIDED if reachable else undecidable(min(map(min, sizes)))
 
 
-def _moved(comparison: Comparison, pairs: Mapping[str, Pair]) -> list[Pair]:
+def second(plan: Plan, comparison: Comparison, pairs: Mapping[str, Pair]) -> dict[str, Pair]:
+    """The pairs by the second score; none unless every run that has the first has it too."""
+    late = comparison.pairs(plan, curves.late)
+    sizes = [{env: tuple(map(len, pair)) for env, pair in of.items()} for of in (pairs, late)]
+    return late if sizes[0] == sizes[1] else {}
+
+
+def moved(comparison: Comparison, pairs: Mapping[str, Pair]) -> list[Pair]:
     """Ours moved so far as the paper says, or one standard deviation within cells."""
-    moved = {}
+    found = {}
     for env, (ours, theirs) in pairs.items():
         centred = ours - ours.mean()
         ratio = comparison.ratio(env)
@@ -119,14 +141,14 @@ def _moved(comparison: Comparison, pairs: Mapping[str, Pair]) -> list[Pair]:
             mean = theirs.mean() + (step if comparison.above else -step)
         else:
             mean = ratio * theirs.mean()
-        moved[env] = centred + mean, theirs
-    return comparison.signed(moved)
+        found[env] = centred + mean, theirs
+    return comparison.signed(found)
 
 
-def _tests(comparison: Comparison, pairs: Mapping[str, Pair], late: Mapping[str, Pair]) -> str:
+def tests(comparison: Comparison, pairs: Mapping[str, Pair], late: Mapping[str, Pair]) -> str:
     """p of the stratified test, by both scores, and of the paper's size."""
     texts = [f"p = {van_elteren(comparison.signed(pairs)).either:.2g}", _counts(pairs)]
-    if set(late) == set(pairs):
+    if late:
         found = van_elteren(comparison.signed(late))
         side = "above" if found.statistic > 0 else "below"
         side = side if comparison.above else {"above": "below", "below": "above"}[side]

@@ -1,6 +1,7 @@
 """Learning curves of finished runs, in one CSV file."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -27,13 +28,12 @@ def measure(plan: Plan, folder: RunFolder) -> None:
 
 def of(plan: Plan, runs: Sequence[Config]) -> list[dict[str, np.ndarray]]:
     """The curves of those runs that have finished: columns as arrays, and `seed`."""
-    found = rows.of(plan.measured / FILE, runs)
-    by_run: dict[tuple[str, ...], list[dict[str, str]]] = {}
-    for row in found:
+    numbers = ("seed", *COLUMNS)
+    by_run: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for row in rows.of(plan.measured / FILE, runs, numbers, each="env_steps"):
         by_run.setdefault(tuple(v for k, v in row.items() if k not in COLUMNS), []).append(row)
     return [
-        {k: np.array([float(row[k]) for row in of_run]) for k in ("seed", *COLUMNS)}
-        for of_run in by_run.values()
+        {k: np.array([row[k] for row in of_run]) for k in numbers} for of_run in by_run.values()
     ]
 
 

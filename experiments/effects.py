@@ -5,7 +5,6 @@ from experiments.plan import Plan
 from mapg_jax.reports import inference as statistics
 from mapg_jax.reports.document import Table
 from mapg_jax.reports.plots import draw_forest, draw_profiles
-from mapg_jax.reports.stratified import effect
 from mapg_jax.training.config import Config
 
 HUMP = 2_200
@@ -27,10 +26,10 @@ def section(plan: Plan) -> str:
     pictures.save(plan, draw_profiles(profiles), "profiles")
     text = (
         "![Probability of improvement by task](effects.png)\n\n"
-        "P of the first named arm over the second, by task and over the tasks together (diamond; "
-        "tasks weighed as van Elteren's test weighs them), with 95 % intervals over seeds; n of "
-        "both arms stands beside the task. The dashed line is ½: neither arm is the better one. "
-        "Tasks that lack an arm are left out.\n\n"
+        "P of the first named arm over the second, by task and, once all of them are there, over "
+        "the tasks together (diamond; weighed as van Elteren's test weighs them), with 95 % "
+        "intervals over seeds; n of both arms stands beside the task. The dashed line is ½: "
+        "neither arm is the better one. Tasks that lack an arm are left out.\n\n"
         "![Performance profiles](profiles.png)\n\n"
         "The share of an arm's runs that score above x. A curve further right is better; n seeds."
     )
@@ -39,17 +38,11 @@ def section(plan: Plan) -> str:
 
 
 def forest(plan: Plan) -> dict[str, dict[str, statistics.Estimate]]:
-    """Claim → task → its effect; the last is that of the tasks together."""
+    """Claim → task → its effect."""
     groups = {}
     for comparison in claims.comparisons(plan):
-        pairs = comparison.pairs(plan)
-        if pairs:
-            found = {
-                f"{env} (n = {len(pair[0])} + {len(pair[1])})": effect([pair])
-                for env, pair in pairs.items()
-            }
-            found["together"] = effect(list(pairs.values()))
-            groups[comparison.text] = found
+        if pairs := comparison.pairs(plan):
+            groups[comparison.text] = comparison.effects(pairs)
     return groups
 
 

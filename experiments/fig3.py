@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +20,7 @@ from mapg_jax.training.config import Config
 STARTS = 100
 START = 5.0  # degrees either side of hanging down, at rest
 BIN = 10  # degrees
-ANGLES = np.arange(-180, 180, BIN) + BIN / 2
+ANGLES = np.arange(0, 180, BIN) + BIN / 2
 BINS, EPISODE = "fig3_bins.csv", "fig3_episode.csv"
 
 
@@ -90,28 +91,40 @@ def play(policy: Policy, config: Config) -> tuple[np.ndarray, np.ndarray]:
 
 def section(plan: Plan) -> str:
     """The picture, and what it shows."""
-    bins = rows.of(plan.measured / BINS, judged(plan))
-    episode = rows.of(plan.measured / EPISODE, runs(plan)[:1])
+    bins = _bins(plan, judged(plan))
+    episode = rows.of(
+        plan.measured / EPISODE, runs(plan)[:1], ("step", "angle", "spread"), each="step"
+    )
     if not bins:
         return rows.missing(judged(plan))
-    least = rows.of(plan.measured / BINS, floor(plan))
+    least = _bins(plan, floor(plan))
     pictures.save(plan, draw(bins, least, episode), "fig3")
     seeds = {row["seed"] for row in bins}
     return (
         "![Spread and angle within an episode](fig3.png)\n\n"
         f"{STARTS} episodes a seed, started at rest within {START:g}° of hanging down; n = "
-        f"{len(seeds)} seeds. Left: mean spread of the ten actions by angle, a thin line a seed; "
-        "dashed, where every update moves all heads alike (gradient `all`): the floor of C4b. "
-        "Right: "
+        f"{len(seeds)} seeds. Left: mean spread of the ten actions by the angle from hanging, on "
+        "either side, a thin line a seed; dashed, where every update moves all heads alike "
+        "(gradient `all`): the floor of C4b. Right: "
         f"one episode of seed {FIRST_SEED}, as the paper shows it. 0° is hanging down, ±180° "
         "upright; actions are in [-1, 1]: a spread of 0.02 is 1 % of the range."
     )
 
 
+def _bins(plan: Plan, runs: Sequence[Config]) -> list[dict[str, Any]]:
+    """Mean spread by angle, and of how many states."""
+    return rows.of(plan.measured / BINS, runs, ("angle", "states", "spread"), each="angle")
+
+
 def by_angle(bins: Sequence[rows.Row], seed: str) -> list[float]:
-    """The spread of one seed at ANGLES, nan where no state was."""
-    found = {float(row["angle"]): float(row["spread"]) for row in bins if row["seed"] == seed}
-    return [found.get(angle, np.nan) for angle in ANGLES]
+    """The mean spread of one seed at ANGLES either side of hanging, nan where no state was."""
+    found = []
+    for angle in ANGLES:
+        at = [row for row in bins if row["seed"] == seed and abs(row["angle"]) == angle]
+        states = [row["states"] for row in at]
+        spread = [row["spread"] for row in at]
+        found.append(np.average(spread, weights=states) if at else np.nan)
+    return found
 
 
 def draw(bins: Sequence[rows.Row], least: Sequence[rows.Row], episode: Sequence[rows.Row]):
@@ -122,26 +135,27 @@ def draw(bins: Sequence[rows.Row], least: Sequence[rows.Row], episode: Sequence[
     left, right = figure.subplots(1, 2)
     arms = (("M = 10", bins, COLOURS[1], "-"), ("gradient all", least, COLOURS[2], "--"))
     for label, of_arm, colour, style in arms:
-        lines = [by_angle(of_arm, seed) for seed in sorted({row["seed"] for row in of_arm})]
-        for line in lines:
-            left.plot(ANGLES, line, linewidth=0.5, alpha=0.5, color=colour, linestyle=style)
-        if lines:
-            label = f"{label}, median of n = {len(lines)}"
-            median = np.median(lines, 0)
-            left.plot(ANGLES, median, linewidth=2, color=colour, linestyle=style, label=label)
-    left.set(xlabel="angle, degrees (0 hanging down)", ylabel="spread of the actions")
-    left.set(xticks=range(-180, 181, 60), title="Mean over all states", yscale="log")
+        if not of_arm:
+            continue
+        lines = np.array([by_angle(of_arm, seed) for seed in sorted({x["seed"] for x in of_arm})])
+        left.plot(ANGLES, lines.T, linewidth=0.5, alpha=0.5, color=colour, linestyle=style)
+        seen = np.isfinite(lines).any(0)
+        median = np.nanmedian(lines[:, seen], 0)
+        label = f"{label}, median of n = {len(lines)}"
+        left.plot(ANGLES[seen], median, linewidth=2, color=colour, linestyle=style, label=label)
+    left.set(xlabel="degrees from hanging down", ylabel="spread of the actions")
+    left.set(xticks=range(0, 181, 30), title="Mean over all states", yscale="log")
     left.legend(frameon=False)
 
-    time = [int(row["step"]) for row in episode]
-    right.plot(time, [float(row["spread"]) for row in episode], color=COLOURS[2])
-    right.set(xlabel="step", title=f"One episode, seed {FIRST_SEED}")
-    right.set_ylabel("spread of the actions", color=COLOURS[2])
+    time = [row["step"] for row in episode]
+    right.plot(time, [row["spread"] for row in episode], color=COLOURS[1])
+    right.set(xlabel="step", title=f"One episode, M = 10, seed {FIRST_SEED}")
+    right.set_ylabel("spread of the actions", color=COLOURS[1])
     right.set_ylim(bottom=0)
     angles = right.twinx()
-    angles.plot(time, [float(row["angle"]) for row in episode], ".", ms=3, color=COLOURS[1])
+    angles.plot(time, [row["angle"] for row in episode], ".", ms=3, color="0.4")
     angles.set(ylim=(-185, 185), yticks=range(-180, 181, 60))
-    angles.set_ylabel("angle, degrees", color=COLOURS[1])
+    angles.set_ylabel("angle, degrees", color="0.4")
     return figure
 
 
@@ -151,11 +165,11 @@ def spread_by_seed(plan: Plan, runs: Sequence[Config]) -> dict[str, list[float]]
     nan where no state of a seed is in that range.
     """
     means: dict[str, list[float]] = {"hanging": [], "between": [], "upright": []}
-    bins = rows.of(plan.measured / BINS, runs)
+    bins = _bins(plan, runs)
     for seed in sorted({row["seed"] for row in bins}, key=int):
         of_seed = [row for row in bins if row["seed"] == seed]
         angle, states, spread = (
-            np.array([float(row[k]) for row in of_seed]) for k in ("angle", "states", "spread")
+            np.array([row[k] for row in of_seed]) for k in ("angle", "states", "spread")
         )
         angle = np.abs(angle)
         where = {"hanging": angle < 30, "between": (angle > 30) & (angle < 150),

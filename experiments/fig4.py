@@ -34,10 +34,11 @@ def section(plan: Plan) -> str:
     pictures.save(plan, figure, "fig4")
     lines = []
     for env in plan.studied:
-        cells = [scores.summary(scores.means(plan, arm(plan, env, label))) for label in ARMS]
+        cells = [scores.of_cell(plan, arm(plan, env, label)) for label in ARMS]
         lines.append([env, *cells])
     return (
         "![With and without noise](fig4.png)\n\n"
-        f"Evaluations of {plan.base.evaluation_episodes} episodes without noise, mean over seeds. "
+        f"Evaluations of {plan.base.evaluation_episodes} episodes without noise: the mean over "
+        "seeds and, between thin lines, its 95 % interval. "
         "Final scores, with the bootstrap's 95 % interval:\n\n"
     ) + Table(("task", *ARMS), lines).markdown()

@@ -1,4 +1,4 @@
-"""The heads: their Q-gap, the rules of gradient and target, the choice at test time (C8)."""
+"""The heads: their Q-gap, the rules that keep them apart, the choice at test time."""
 
 from experiments import curves, pictures, rows, scores, selects
 from experiments.plan import MAPG, Plan
@@ -49,21 +49,17 @@ def section(plan: Plan) -> str:
     return "\n\n".join(
         (
             "![Q-gap of the heads over training](heads.png)",
-            "Q-gap over the standard deviation of Q (docs/metrics.md), M = 10, mean over seeds. 0 "
-            "would be proposals that the critic values alike.",
-            "Score by the rule of the actor's gradient and of the target, M = 10, with the "
-            "bootstrap's 95 % interval over seeds:",
+            "Q-gap over the standard deviation of Q (docs/metrics.md), M = 10: the mean over "
+            "seeds and, between thin lines, its 95 % interval. 0 would be proposals that the critic values alike.",
+            "Score by rule, M = 10, with the bootstrap's 95 % interval over seeds: the paper's; "
+            "`all`, every head gets the gradient of every sample; `wide`, heads that start in "
+            "U(±1); `diverse`, the preset, whose head is held for an episode, in evaluation too, "
+            "where the others draw one anew at every step:",
             rule_table(plan).markdown(),
             "Score of the same policies by the choice at test time, mean over all runs of a cell:",
             select_table(plan).markdown(),
         )
     )
-
-
-def gap_by_seed(plan: Plan, env: str) -> list[float]:
-    """The relative Q-gap at the last evaluation, one number a seed; nan where all Q are equal."""
-    found = curves.of(plan, plan.over_seeds(env, **MAPG))
-    return [float(curve["q_gap_relative"][-1]) for curve in found]
 
 
 def rule_table(plan: Plan) -> Table:
@@ -72,7 +68,7 @@ def rule_table(plan: Plan) -> Table:
     rules = {"the paper's": {}, **plan.rules()}
     for env in plan.ruled:
         cells = [
-            scores.summary(scores.means(plan, plan.over_seeds(env, **MAPG, **changes)))
+            scores.of_cell(plan, plan.over_seeds(env, **MAPG, **changes))
             for changes in rules.values()
         ]
         lines.append([env, *cells])

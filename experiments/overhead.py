@@ -105,7 +105,7 @@ class TimedArm:
 
 def ratios(plan: Plan, column: str) -> dict[int, np.ndarray]:
     """M → the time over that of M = 1, one number a round."""
-    times = rows.read(plan.measured / TIMES)
+    times = rows.read(plan.measured / TIMES, ("heads", column))
     by_heads = {
         m: np.array([float(row[column]) for row in times if row["heads"] == str(m)])
         for m in (1, *plan.heads)

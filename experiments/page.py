@@ -1,12 +1,14 @@
 """results/README.md and the tables in the project's README, from what is in the results."""
 
+import collections
 import pathlib
 from collections.abc import Mapping
 
-from experiments import claims, reference, rows, scores, table2
+from experiments import carryover, claims, fig2, reference, rows, scores, table2
 from experiments.catalogue import TITLES, Name, experiment, runs
 from experiments.plan import FIRST_SEED, Plan, is_the_papers
 from mapg_jax.reports.document import Table
+from mapg_jax.runs.whole_file import whole_file
 
 FILE = "README.md"
 HEAD = """# Results
@@ -15,9 +17,11 @@ HEAD = """# Results
 does that do what the paper says? It has one training run a cell.
 
 **Method.** Every cell has the seeds that [the protocol](../experiments/protocol.md), version 2,
-named before the first of them: eight or five, on Humanoid six or two, the same in all cells. A
-run has {steps:,} steps and a score over {episodes} episodes; tests over seeds are exact; a claim
-is judged once, when all its runs are there.
+named before the first of them, the same in all: eight or five for the paper's claims, on Humanoid
+six or two. A run has {steps:,} steps, of C3 {short:,} and of C10 {half:,}, and a score over
+{episodes} episodes. Scores are compared by exact permutation tests; a number that each seed has
+(C3, C4a, C7, C8) has Student's interval over seeds, and C2a a bootstrap's. A claim is judged once,
+when all its runs are there.
 
 **Answer.** {answer}
 
@@ -44,7 +48,8 @@ def write(plan: Plan, sections: Mapping[Name, str]) -> pathlib.Path:
     text = "\n\n".join(
         [abstract(with_all_seeds(plan)), *sections.values(), earlier(plan), diverged(plan)]
     )
-    page.write_text(text.rstrip() + "\n")
+    with whole_file(page) as file:
+        file.write(text.rstrip() + "\n")
     if is_the_papers(plan):
         write_headline(with_all_seeds(plan), pathlib.Path("README.md"))
     return page
@@ -65,6 +70,8 @@ def abstract(plan: Plan) -> str:
     wanted = runs(plan, list(TITLES))
     return HEAD.format(
         steps=plan.base.steps,
+        short=fig2.runs(plan)[0].steps,
+        half=carryover.steps(plan),
         episodes=plan.base.final_episodes,
         answer=answer(plan),
         done=len(scores.of(plan, wanted)),
@@ -74,10 +81,11 @@ def abstract(plan: Plan) -> str:
 
 def earlier(plan: Plan) -> str:
     """The verdicts of version 1, as they were recorded."""
-    found = rows.read(plan.results / claims.EARLIER)
+    columns = ("claim", "text", "evidence", "verdict")
+    found = rows.read(plan.results / claims.EARLIER, columns)
     if not found:
         return ""
-    lines = [[row[k] for k in ("claim", "text", "evidence", "verdict")] for row in found]
+    lines = [[row[k] for k in columns] for row in found]
     return (
         "## Version 1\n\nBy its own rules, on its own seeds (0 to 9); all of it is "
         "[kept](version_1/README.md) as it was recorded.\n\n"
@@ -110,7 +118,8 @@ def write_headline(plan: Plan, readme: pathlib.Path) -> None:
             before, found, rest = text.partition(begin)
             if found and end in rest:
                 text = f"{before}{begin}\n{shown}\n{end}{rest.partition(end)[2]}"
-        readme.write_text(text)
+        with whole_file(readme) as file:
+            file.write(text)
 
 
 def provenance(plan: Plan, name: Name) -> str:
@@ -127,7 +136,10 @@ def provenance(plan: Plan, name: Name) -> str:
     versions = " and ".join(sorted({result.versions for result in found}))
     until = f" to {days[-1]}" if len(days) > 1 else ""
     steps = " or ".join(f"{n:,}" for n in sorted({result.steps for result in found}))
-    machines = " and ".join(sorted({result.processor for result in found}))
+    counts = collections.Counter(result.processor for result in found)
+    machines = " and ".join(sorted(counts))
+    if len(counts) > 1:
+        machines = " and ".join(f"{name} ({count} runs)" for name, count in sorted(counts.items()))
     return f"{text}, {steps} steps each; {versions}; {machines}; {days[0]}{until}."
 
 

@@ -72,9 +72,14 @@ class Plan(NamedTuple):
     """Of the protocol: version 1 is read, for what its seeds gave; runs are of version 2."""
 
     @property
+    def recorded(self) -> pathlib.Path:
+        """CSV files of the runs of its version; those of version 1 are closed."""
+        return self.results if self.version == 2 else self.results / "version_1"
+
+    @property
     def measured(self) -> pathlib.Path:
         """CSV files of what was measured on the runs beside their scores."""
-        return self.results / "measured"
+        return self.recorded / "measured"
 
     def config(self, env: str, seed: int = FIRST_SEED, **changes) -> Config:
         """One run."""

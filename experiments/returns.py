@@ -140,8 +140,9 @@ def _where(mask: jax.Array, new: envs.State, old: envs.State) -> envs.State:
 
 def ratios(plan: Plan, env: str, column: str = "between_heads") -> list[float]:
     """Scatter between heads over that between actions at random, a number a seed."""
-    found = rows.of(plan.measured / FILE, plan.over_seeds(env, **MAPG))
-    pairs = [(float(row[column]), float(row["between_actions"])) for row in found]
+    numbers = (column, "between_actions")
+    found = rows.of(plan.measured / FILE, plan.over_seeds(env, **MAPG), numbers)
+    pairs = [tuple(row[name] for name in numbers) for row in found]
     return [ours / theirs if theirs > 0 else np.nan for ours, theirs in pairs]
 
 
@@ -149,8 +150,8 @@ def section(plan: Plan) -> str:
     """A line a task."""
     lines = []
     for env in plan.tasks:
-        found = rows.of(plan.measured / FILE, plan.over_seeds(env, **MAPG))
-        gaps = [float(row["q_gap"]) for row in found]
+        found = rows.of(plan.measured / FILE, plan.over_seeds(env, **MAPG), ("q_gap",))
+        gaps = [row["q_gap"] for row in found]
         cells = [
             statistics.student(x) for x in (ratios(plan, env), ratios(plan, env, "held"), gaps)
         ]

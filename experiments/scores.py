@@ -5,7 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from experiments.plan import EARLIER_SEEDS, FIRST_SEED, Plan
+from experiments import rows
+from experiments.plan import FIRST_SEED, Plan
 from mapg_jax.reports import inference as statistics
 from mapg_jax.reports.results import Result, read_scored, run_key
 from mapg_jax.reports.results_csv import append_csv, read_csv
@@ -14,32 +15,41 @@ from mapg_jax.training.config import Config
 
 
 def path(plan: Plan) -> pathlib.Path:
-    return plan.results / "scores.csv"
+    return plan.recorded / "scores.csv"
 
 
 def read(plan: Plan) -> list[Result]:
-    """The rows of the plan's version of the protocol: those of the other are set apart.
+    """The rows of the plan's version of the protocol, which has a file of its own.
 
     Raises:
-      ValueError: if a row is of neither version, or does not name the machine of a run.
+      ValueError: if a row of version 2 is not as the protocol asks of a run, or a run has two.
     """
-    kept = []
-    for result in read_csv(path(plan)):
+    found = read_csv(path(plan))
+    if plan.version == 1:
+        return found
+    seen = set()
+    for result in found:
         run = f"{result.env}, {result.algorithm}, M = {result.heads}, seed {result.seed}"
-        version = 1 if result.seed < EARLIER_SEEDS else 2
-        if EARLIER_SEEDS <= result.seed < FIRST_SEED:
-            raise ValueError(
-                f"{path(plan)}: {run} is of neither version of the protocol, whose seeds are below "
-                f"{EARLIER_SEEDS}, or {FIRST_SEED} and above; leave it out"
-            )
-        if version == 2 and not (result.processor and result.engine):
-            raise ValueError(
-                f"{path(plan)}: {run} does not name its processor and engine, as version 2 of the "
-                "protocol asks of a run; leave it out"
-            )
-        if version == plan.version:
-            kept.append(result)
-    return kept
+        if reason := _flaw(plan, result):
+            raise ValueError(f"{path(plan)}: {run} {reason}; leave it out")
+        if result.run in seen:
+            raise ValueError(f"{path(plan)} holds two scores of {run}; leave one out")
+        seen.add(result.run)
+    return found
+
+
+def _flaw(plan: Plan, result: Result) -> str:
+    """What a row has otherwise than version 2 of the protocol asks; or ''."""
+    if result.seed < FIRST_SEED:
+        return f"is not of version 2 of the protocol, whose seeds are {FIRST_SEED} and above"
+    if not (result.processor and result.engine):
+        return "does not name its processor and engine, as version 2 of the protocol asks of a run"
+    if result.select != "uniform" or result.episodes != plan.base.final_episodes:
+        return (
+            f"was scored by {result.episodes} episodes and --select {result.select}, and the "
+            f"protocol asks for {plan.base.final_episodes} and uniform"
+        )
+    return ""
 
 
 def measure(plan: Plan, folder: RunFolder) -> None:
@@ -85,8 +95,6 @@ def of(plan: Plan, runs: Sequence[Config]) -> list[Result]:
     """The results of those runs that have finished, by seed."""
     wanted = {run_key(config) for config in runs}
     found = [result for result in read(plan) if result.run in wanted]
-    if len({result.run for result in found}) < len(found):
-        raise ValueError(f"{path(plan)} holds two scores of one run; leave one out")
     return sorted(found, key=lambda result: result.seed)
 
 
@@ -96,7 +104,18 @@ def means(plan: Plan, runs: Sequence[Config]) -> np.ndarray:
 
 
 def summary(values: Sequence[float] | np.ndarray) -> str:
-    """Mean, and its bootstrap interval where there are seeds enough."""
+    """Mean, and its bootstrap interval where there are seeds enough; of two seeds, both."""
     if not len(values):
         return "missing"
+    if len(values) == 2:
+        return f"{np.mean(values):.0f} ({min(values):.0f} and {max(values):.0f}), n = 2"
     return f"{statistics.mean(values):.0f}, n = {len(values)}"
+
+
+def of_cell(plan: Plan, runs: Sequence[Config]) -> str:
+    """The summary of a cell; runs that diverged have no score, and are counted."""
+    diverged = len(rows.runs_in(plan.measured / rows.DIVERGED, runs))
+    if diverged == len(runs):
+        return f"all {diverged} diverged"
+    text = summary(means(plan, runs))
+    return f"{text}; {diverged} diverged" if diverged else text

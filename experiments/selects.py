@@ -29,5 +29,5 @@ def measure(plan: Plan, folder: RunFolder, selects: Sequence[Select]) -> None:
 
 def means(plan: Plan, runs: Sequence[Config], select: Select) -> list[float]:
     """Those of the runs that have been scored so."""
-    found = rows.of(plan.measured / FILE, runs)
-    return [float(row["return_mean"]) for row in found if row["select"] == select]
+    found = rows.of(plan.measured / FILE, runs, ("return_mean",), each="select")
+    return [row["return_mean"] for row in found if row["select"] == select]

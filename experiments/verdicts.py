@@ -27,11 +27,31 @@ class Verdict(NamedTuple):
     evidence: str = ""
 
 
-def waiting(plan: Plan, runs: Sequence[Config]) -> str:
-    """What is said while runs of a claim are missing; '' once all are there, or diverged."""
-    ended = len(scores.of(plan, runs)) + len(rows.of(plan.measured / rows.DIVERGED, runs))
-    wanted = len(set(runs))
-    return "" if ended >= wanted else f"not yet: {ended} of {wanted} runs"
+def waiting(plan: Plan, runs: Sequence[Config], measured: str = "") -> str:
+    """What is said while runs of a claim are missing; '' once all are there, or diverged.
+
+    Args:
+      plan: whose results are read.
+      runs: that the claim is judged on.
+      measured: the file that holds what it is judged by, where that is not the score.
+
+    Raises:
+      ValueError: if a run is said to have diverged, and has a score too.
+    """
+    wanted = {tuple(rows.identity(config).values()) for config in runs}
+    scored = {tuple(map(str, result.run)) for result in scores.of(plan, runs)}
+    diverged = rows.runs_in(plan.measured / rows.DIVERGED, runs)
+    if both := scored & diverged:
+        raise ValueError(
+            f"{plan.measured / rows.DIVERGED} holds {', '.join(min(both))}, which has a score too; "
+            "leave one out"
+        )
+    if missing := wanted - scored - diverged:
+        return f"not yet: {len(wanted) - len(missing)} of {len(wanted)} runs"
+    if not measured:
+        return ""
+    known = rows.runs_in(plan.measured / measured, runs)
+    return "" if known >= scored else f"not yet: measured on {len(known)} of {len(scored)} runs"
 
 
 def undecidable(seeds: int) -> str:

@@ -197,7 +197,8 @@ def bootstrap(samples: Sequence[Scores], statistic: Callable, level: float = LEV
     """A statistic and its stratified percentile bootstrap interval.
 
     Args:
-      samples: the seeds of each stratum; every resample draws as many from each as it has.
+      samples: the seeds of each stratum; every resample draws as many from each as it has. Below
+        three there is no interval: resamples of two give the lower and the higher one.
       statistic: function of as many arrays [..., n] and `axis`, -1.
       level: of the interval.
 
@@ -206,7 +207,7 @@ def bootstrap(samples: Sequence[Scores], statistic: Callable, level: float = LEV
     """
     data = _samples(samples)
     value = float(statistic(*data, axis=-1))
-    if min(map(len, data)) < 2:
+    if min(map(len, data)) < LEAST_SEEDS:
         return Estimate(value, math.nan, math.nan)
     interval = stats.bootstrap(
         data,

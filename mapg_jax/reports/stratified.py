@@ -83,6 +83,9 @@ class Power(NamedTuple):
 def power(tasks: Tasks, alpha: float = 0.05) -> Power:
     """By simulation: as many runs as there are, drawn from them with replacement.
 
+    A score that is drawn twice stands for two that differ by a little: the test is the one without
+    ties, which the scores of runs hardly ever have.
+
     Args:
       tasks: the new scores moved to the mean that is asked about.
       alpha: the level of the tests.

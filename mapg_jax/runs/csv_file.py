@@ -6,6 +6,8 @@ import pathlib
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from mapg_jax.runs.whole_file import whole_file
+
 
 def read(path: pathlib.Path, *, cut_short: bool = False) -> tuple[list[str], list[list[str]]]:
     """The header and the rows; nothing and none if there is no file, or it is empty.
@@ -31,10 +33,8 @@ def read(path: pathlib.Path, *, cut_short: bool = False) -> tuple[list[str], lis
 
 def write(path: pathlib.Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Writes the whole file, or leaves the old one."""
-    partial = path.with_suffix(".partial")
-    with partial.open("w", newline="") as file:
+    with whole_file(path) as file:
         lines(file, [header, *rows])
-    partial.replace(path)
 
 
 def lines(file: Any, rows: Iterable[Sequence[Any]]) -> None:

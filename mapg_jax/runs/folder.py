@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from mapg_jax.runs import locking
+from mapg_jax.runs.whole_file import whole_file
 from mapg_jax.training.config import Config, fields
 
 FORMAT = 5
@@ -243,9 +244,8 @@ def _read_record(file: pathlib.Path) -> dict[str, Any]:
 
 def write_json(path: pathlib.Path, record: dict[str, Any]) -> None:
     """Writes the whole file or leaves the old one."""
-    partial = path.with_suffix(".partial")
-    partial.write_text(json.dumps(record, indent=2) + "\n")
-    partial.replace(path)
+    with whole_file(path) as file:
+        file.write(json.dumps(record, indent=2) + "\n")
 
 
 def _next_free(config: Config) -> pathlib.Path:

@@ -51,6 +51,32 @@ def test_a_claim_waits_for_every_run_of_every_task(plan):
     assert both(plan, "C1a")[0].effect == "P 1.00 (1.00 to 1.00)"
 
 
+def test_a_claim_waits_for_what_was_measured_on_its_runs(plan):
+    """C3 is judged by curves: scores alone are not enough, and the others are not left out."""
+    runs = fig2.runs(plan)
+    for config in runs:
+        finish(plan, config)
+    for config in runs[:4]:
+        write_curve(plan, config, spread=[1.0, 2.0])
+    assert claims.c3(plan).verdict == "not yet: measured on 4 of 5 runs"
+    write_curve(plan, runs[4], spread=[1.0, 2.0])
+    assert not claims.c3(plan).verdict.startswith("not yet")
+
+
+def test_a_run_counts_once(plan):
+    """One that is said to have diverged hides no other one that is missing."""
+    for env in plan.studied:
+        write(plan, env, DDPG, spread(50))
+        write(plan, env, MAPG, spread(100, 4))
+    lost = rows.identity(plan.config(plan.studied[0], FIRST_SEED + 4, **MAPG))
+    rows.append(plan.measured / rows.DIVERGED, [{**lost, "reason": ""}] * 2)
+    assert verdicts(plan, "C5b together") == ["not yet: 19 of 20 runs"] * 2
+    scored = rows.identity(plan.config(plan.studied[0], FIRST_SEED, **MAPG))
+    rows.append(plan.measured / rows.DIVERGED, [{**scored, "reason": ""}])
+    with pytest.raises(ValueError, match=r"pendulum, mapg, 10, 2000, .*which has a score too"):
+        both(plan, "C5b together")
+
+
 def test_one_task_contradicts_what_holds_of_them_together(plan):
     """5 against 5 has p = 0.004, below 0.05 / 5."""
     for env in plan.tasks:
@@ -173,7 +199,7 @@ def test_spread_and_return_less_what_both_owe_to_time(plan, sign, expected):
         values, score = learning(seed, steps, sign)
         values[300] *= 100
         finish(plan, config)
-        write_curve(plan, "pendulum", seed, env_steps=steps, return_mean=score, spread=values)
+        write_curve(plan, fig2.runs(plan)[seed], env_steps=steps, return_mean=score, spread=values)
     found = fig2.by_seed(plan)
     assert max(found.with_step) < -0.1
     assert (np.sign(found.with_return) == -sign).all()
@@ -261,7 +287,7 @@ def test_a_seed_without_a_number_leaves_its_claim_undecided_and_is_counted(plan)
     for config in fig2.runs(plan):
         seed = config.seed - FIRST_SEED
         values = np.full(40, 0.5) if seed == 2 else 1 / steps  # which has no rank
-        write_curve(plan, "pendulum", seed, env_steps=steps, return_mean=steps, spread=values)
+        write_curve(plan, fig2.runs(plan)[seed], env_steps=steps, return_mean=steps, spread=values)
         finish(plan, config)
     verdict = claims.c3(plan)
     assert verdict.verdict == "undecided"

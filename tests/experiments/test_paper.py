@@ -131,9 +131,9 @@ def test_the_score_is_that_of_the_run(made):
 
 
 def test_spread_by_angle_counts_every_state(made):
-    bins = rows.of(made.measured / "fig3_bins.csv", fig3.judged(made))
+    bins = rows.of(made.measured / "fig3_bins.csv", fig3.judged(made), each="angle")
     assert sum(int(row["states"]) for row in bins) == 100 * 200
-    episode = rows.of(made.measured / "fig3_episode.csv", paper.runs(made, ["fig3"]))
+    episode = rows.of(made.measured / "fig3_episode.csv", paper.runs(made, ["fig3"]), each="step")
     assert abs(float(episode[0]["angle"])) <= 5  # hanging down
     assert all(float(row["spread"]) >= 0 for row in episode)
 
@@ -142,8 +142,12 @@ def test_results_are_made_again_from_the_run_folders(made, tmp_path):
     again = made._replace(results=tmp_path)
     paper.make(again, ["fig3"], training=False)
     assert rows.read(scores.path(made)) and rows.read(scores.path(again))
-    for file in ("curves.csv", "selects.csv", "fig3_bins.csv"):
-        old, new = (rows.of(p.measured / file, fig3.judged(made)) for p in (made, again))
+    for file, each in (
+        ("curves.csv", "env_steps"),
+        ("selects.csv", "select"),
+        ("fig3_bins.csv", "angle"),
+    ):
+        old, new = (rows.of(p.measured / file, fig3.judged(made), each=each) for p in (made, again))
         assert sorted(old, key=str) == sorted(new, key=str) and old, file
 
 
@@ -302,7 +306,7 @@ def test_the_order_is_that_of_the_protocol():
     first = ordered[: -len(later)]
     assert [*in_order(plan, reversed(first)), *later] == ordered
     counts = collections.Counter(item(config, plan) for config in first)
-    assert [counts[number] for number in range(1, 5)] == [76, 80, 77, 8]
+    assert [counts[number] for number in range(1, 5)] == [76, 80, 87, 8]
     assert counts[5] == 10 * len(plan.rules())
     # NAF on two tasks, the others on four, M = 1 and 10; and the marginal ratio of two of them
     counts = collections.Counter(config.algorithm for config in later)
@@ -333,15 +337,18 @@ def test_a_cell_has_the_seeds_of_the_protocol_and_no_more():
 
 
 @pytest.mark.parametrize(
-    ("seed", "processor", "message"),
+    ("changes", "message"),
     [
-        (150, "A", "seed 150 is of neither version of the protocol, whose seeds are below 10"),
-        (2000, "", "seed 2000 does not name its processor and engine, as version 2"),
+        ({"seed": 150}, "seed 150 is not of version 2 of the protocol, whose seeds are 2000 and"),
+        ({"processor": ""}, "seed 2000 does not name its processor and engine, as version 2"),
+        ({"select": "argmax-q"}, "100 episodes and --select argmax-q, and the protocol asks for"),
+        ({"episodes": 1}, "scored by 1 episodes and --select uniform, and the protocol asks for"),
     ],
 )
-def test_rows_of_no_version_or_no_machine_are_refused(tmp_path, seed, processor, message):
+def test_rows_that_the_protocol_does_not_know_are_refused(tmp_path, changes, message):
     plan = make_plan("paper", 1600, 3, tmp_path / "runs", tmp_path)
-    found = oracles.result(seed=seed, steps=1600, processor=processor, engine="native")
+    usual = {"seed": 2000, "processor": "A", "engine": "native", "episodes": 100}
+    found = oracles.result(steps=1600, **{**usual, **changes})
     append_csv(scores.path(plan), [found])
     with pytest.raises(ValueError, match=message) as error:
         paper.make(plan, ["table2"], training=False)
@@ -350,12 +357,12 @@ def test_rows_of_no_version_or_no_machine_are_refused(tmp_path, seed, processor,
 
 def test_the_versions_of_the_protocol_are_apart(tmp_path):
     plan = make_plan("paper", 1600, 3, tmp_path / "runs", tmp_path)
-    for seed, score in ((0, 1.0), (2000, 5.0)):
-        made = oracles.result(seed=seed, steps=1600, return_mean=score)
-        append_csv(scores.path(plan), [made._replace(processor="A", engine="native")])
+    earlier = plan._replace(version=1)
+    for version, seed, score in ((earlier, 0, 1.0), (plan, 2000, 5.0)):
+        made = oracles.result(seed=seed, steps=1600, return_mean=score, episodes=100)
+        append_csv(scores.path(version), [made._replace(processor="A", engine="native")])
     cell = plan.over_seeds("hopper", **MAPG)
     assert scores.means(plan, cell) == [5.0]
-    earlier = plan._replace(version=1)
     assert scores.means(earlier, earlier.over_seeds("hopper", **MAPG)) == [1.0]
     assert len(scores.means(plan, earlier.over_seeds("hopper", **MAPG))) == 0
 

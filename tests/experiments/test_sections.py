@@ -99,8 +99,8 @@ def test_effects_and_profiles_are_those_of_the_scores(plan):
     write(plan, "halfcheetah", DDPG, [2100, 2200, 7000])
     text = page.sections(plan)["effects"]
     (found,) = effects.forest(plan).values()
-    assert list(found) == ["hopper (n = 3 + 3)", "together"]
-    assert found["together"].value == pytest.approx(8 / 9)
+    assert list(found) == ["hopper (n = 3 + 3)"]  # not together: four tasks lack an arm
+    assert found["hopper (n = 3 + 3)"].value == pytest.approx(8 / 9)
     assert effects.profile(plan)["hopper"] == {"DDPG": [1, 2, 3], "M = 10": [2.5, 5, 6]}
     assert is_picture(plan.results / "effects.png") and is_picture(plan.results / "profiles.png")
     assert "| DDPG | 33% (6% to 79%) | 1 of 3 |" in text  # Wilson's
@@ -115,7 +115,7 @@ def test_a_profile_falls_by_one_run_at_each_score():
 def test_version_1_is_shown_apart(plan):
     write(plan, "hopper", DDPG, [100])
     old = result(plan.config("hopper", 0, **DDPG), 7, processor="")
-    append_csv(scores.path(plan), [old])
+    append_csv(scores.path(plan._replace(version=1)), [old])
     text = page.sections(plan)["table2"]
     assert "| hopper | here | 100 ± 3 (n = 1) |" in text
     assert "| | version 1 | 7 ± 3 (n = 1) |" in text
@@ -124,10 +124,14 @@ def test_version_1_is_shown_apart(plan):
 def test_a_run_of_version_1_made_again_is_compared_with_itself(plan, tmp_path):
     """The third evaluation is another one; no other number has its score."""
     ddpg, _ = repeats.repeated(plan)
-    append_csv(scores.path(plan), [result(ddpg, 7, processor="")])
+    earlier = plan._replace(version=1)
+    append_csv(scores.path(earlier), [result(ddpg, 7, processor="")])
     numbers = dict.fromkeys(curves.COLUMNS, 0.0)
-    lines = [{**rows.identity(ddpg), **numbers, "return_mean": x} for x in (0.5, 1.0, 9.0, 2.0)]
-    rows.append(plan.measured / curves.FILE, lines)
+    lines = [
+        {**rows.identity(ddpg), **numbers, "env_steps": t, "return_mean": x}
+        for t, x in enumerate((0.5, 1.0, 9.0, 2.0))
+    ]
+    rows.append(earlier.measured / curves.FILE, lines)
     folder = oracles.finished_run(ddpg, tmp_path / "again", [1.0, 3.0])
     repeats.measure(plan, folder)
     text = repeats.section(plan)
@@ -140,6 +144,31 @@ def test_the_page_begins_with_the_answer(plan):
     text = page.write(plan, page.sections(plan)).read_text()
     assert f"1 of {len(runs(plan, list(TITLES)))} runs are there" in text
     assert text.index("**Answer.** Not yet judged: C1a") < text.index("## The claims")
+
+
+def test_a_readme_that_cannot_be_written_whole_stays_as_it_was(plan, tmp_path, monkeypatch):
+    readme = tmp_path / "README.md"
+    readme.write_text("<!-- answer -->\n<!-- /answer -->\nafter\n")
+    before = readme.read_text()
+    opened = pathlib.Path.open
+
+    def full(path, *arguments, **options):
+        """Of a disk that has room for ten letters."""
+        file = opened(path, *arguments, **options)
+        write = file.write
+
+        def some(text):
+            write(text[:10])
+            raise OSError("No space left on device")
+
+        file.write = some
+        return file
+
+    monkeypatch.setattr(pathlib.Path, "open", full)
+    with pytest.raises(OSError, match="No space"):
+        page.write_headline(plan, readme)
+    monkeypatch.undo()
+    assert readme.read_text() == before
 
 
 def test_the_readme_gets_its_tables_between_its_comments(plan, tmp_path):

@@ -27,16 +27,16 @@ def test_what_is_found_is_shown(plan):
     for label, shares in (("DDPG", [1, 0, 0, 0]), ("diverse", [0.25, 0.25, 0.25, 0.25])):
         numbers = {"goals_reached": sum(x > 0 for x in shares), "goal_entropy": 0.5}
         numbers |= {f"goal_{i}_share": x for i, x in enumerate(shares, 1)}
-        for config in several.arm(plan, "multi_goal", label)[:2]:
+        for config in several.arm(plan, "multi_goal", label)[:3]:
             append_csv(scores.path(plan), [result(config, -11, metrics=numbers, physics="jax")])
     plan.results.mkdir(exist_ok=True)
     text = several.section(plan)
     assert "| multi_goal | diverse | -11.00 (-11.00 to -11.00) | 4.00 (4.00 to 4.00) |" in text
     assert (plan.results / "several.png").exists()
     plotted = (plan.results / pictures.FOLDER / "several.csv").read_text().splitlines()
-    assert len(plotted) == 1 + 2 * 4 * 2  # two panels of four parts of two bars
+    assert len(plotted) == 1 + 2 * 4 * 3  # two panels of four parts of three bars
     tops = [float(line.split(",")[3]) for line in plotted[1:]]
-    assert tops == [1.0] * 8 + [0.25] * 2 + [0.5] * 2 + [0.75] * 2 + [1.0] * 2
+    assert tops == [1.0] * 12 + [0.25] * 3 + [0.5] * 3 + [0.75] * 3 + [1.0] * 3
 
 
 def test_what_keeping_heads_apart_costs_is_compared_once_every_task_has_both_arms(plan):

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from experiments import curves, fig2, rows, scores
-from experiments.plan import DRIVING, FIRST_SEED, MAPG
+from experiments import curves, rows, scores
+from experiments.plan import DRIVING, FIRST_SEED
 from mapg_jax.reports.results import Result, run_key
 from mapg_jax.reports.results_csv import append_csv
 
@@ -32,13 +32,14 @@ def write_laps(plan, changes, shares):
     append_csv(scores.path(plan), found)
 
 
-def write_curve(plan, env, seed, **columns):
-    """Of M = 10; on Pendulum that of Figure 2."""
-    config = (
-        fig2.runs(plan)[seed] if env == "pendulum" else plan.config(env, FIRST_SEED + seed, **MAPG)
-    )
+def write_curve(plan, config, **columns):
+    """Of one run; what is not given is 0, and an evaluation follows every step."""
     length = len(next(iter(columns.values())))
-    columns = {name: np.zeros(length) for name in curves.COLUMNS} | columns
+    columns = {
+        **{name: np.zeros(length) for name in curves.COLUMNS},
+        "env_steps": np.arange(length),
+        **columns,
+    }
     lines = [
         {**rows.identity(config), **{k: v[i] for k, v in columns.items()}} for i in range(length)
     ]

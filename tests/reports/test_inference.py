@@ -70,7 +70,7 @@ def test_probability_of_improvement_against_all_resamples():
 
 def test_strata_are_resampled_apart():
     """Over two tasks: the mean, and an interval from all resamples within each cell."""
-    tasks = [([5.0, 1.0], [2.0, 4.0, 0.0]), ([-1.0, 30.0, 8.0], [7.0, 9.0])]
+    tasks = [([5.0, 1.0, 3.0], [2.0, 4.0, 0.0]), ([-1.0, 30.0, 8.0], [7.0, 9.0, 9.5])]
     estimate = mean_probability_of_improvement(tasks)
     by_task = [improvement_by_hand(*task) for task in tasks]
     assert estimate.value == pytest.approx(np.mean(by_task))
@@ -188,18 +188,18 @@ def test_ten_against_ten_with_ties_have_room_for_all_permutations():
 
 
 def test_spearman_is_scipys_and_its_interval_all_resamples():
-    groups = {1: [1.0, 4.0], 5: [2.0, 3.0], 20: [5.0, 3.5]}
+    groups = {1: [1.0, 4.0, 0.5], 5: [2.0, 3.0, 2.5], 20: [5.0, 3.5, 1.5]}
     estimate = spearman(groups)
 
     def by_hand(*samples):
         scores = [score for sample in samples for score in sample]
-        return stats.spearmanr(np.repeat([1, 5, 20], 2), scores).statistic
+        return stats.spearmanr(np.repeat([1, 5, 20], 3), scores).statistic
 
     assert estimate.value == pytest.approx(by_hand(*groups.values()))
     every = [by_hand(*s) for s in itertools.product(*(resamples(g) for g in groups.values()))]
     assert_is_the_percentile_interval(estimate, every)
     assert spearman({1: [1.0, 2.0], 10: [3.0, 4.0, 5.0], 50: [6.0, 7.0]}).value > 0.9
-    assert spearman({1: [1.0, 1.0], 10: [1.0, 1.0]}) == (0, 0, 0)
+    assert spearman({1: [1.0] * 3, 10: [1.0] * 3}) == (0, 0, 0)
 
 
 def test_verdicts():

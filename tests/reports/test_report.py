@@ -286,11 +286,12 @@ def curve(steps, values):
 
 def test_a_mean_curve_is_the_mean_at_steps_that_all_have():
     curves = [curve([10, 20, 30, 40], [1, 2, 3, 4]), curve([15, 30, 45], [0, 6, 9])]
+    curves.append(curve([5, 15, 30, 45], [1, 3, 6, 9]))
     steps, mean, low, high = plotting.mean_curve(curves, "return_mean")
     np.testing.assert_array_equal(steps, [15, 30])
-    np.testing.assert_allclose(mean, [0.75, 4.5])
-    for point, pair in enumerate(([1.5, 0], [3, 6])):
-        assert (low[point], high[point]) == statistics.mean(pair)[1:]
+    np.testing.assert_allclose(mean, [1.5, 5])
+    for point, of_seeds in enumerate(([1.5, 0, 3], [3, 6, 6])):
+        assert (low[point], high[point]) == statistics.mean(of_seeds)[1:]
     steps, mean, low, high = plotting.mean_curve(curves[:1], "return_mean")
     np.testing.assert_array_equal(mean, [1, 2, 3, 4])
     assert np.isnan([low, high]).all()

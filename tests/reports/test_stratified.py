@@ -57,7 +57,7 @@ def test_the_effect_is_a_half_where_the_statistic_is_0_and_1_where_the_new_arm_a
     tasks = [([1, 4], [2, 3]), ([5, 5], [5, 5, 5])]
     assert van_elteren(tasks).statistic == pytest.approx(0)
     assert effect(tasks).value == pytest.approx(0.5)
-    assert tuple(effect([([5, 6], [1, 2, 3])])) == (1, 1, 1)
+    assert tuple(effect([([5, 6, 7], [1, 2, 3])])) == (1, 1, 1)
 
 
 def test_power_is_the_level_without_a_difference_and_1_with_a_large_one():
