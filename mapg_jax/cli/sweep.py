@@ -11,6 +11,7 @@ from typing import Any, TextIO
 from mapg_jax.cli import config_file, fields
 from mapg_jax.cli.console import complain, console, refuse_politely
 from mapg_jax.cli.main import parser
+from mapg_jax.cli.parser import Parser
 from mapg_jax.runs.folder import RunFolder, is_blank
 from mapg_jax.runs.locking import lock
 from mapg_jax.runs.signals import StoppedError
@@ -43,24 +44,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
         help="Runs that share a compiled program and go in lockstep: one, all that can, or so many "
         "at most; auto is one on a CPU and as many as half of an accelerator's memory holds.",
     )
-    command.add_argument(
-        "--workers",
-        type=int,
-        help="Processes side by side; by default as many as cores and memory allow.",
-    )
-    command.add_argument(
-        "--launcher",
-        choices=typing.get_args(launchers.Name),
-        default="local",
-        help="Where workers run: on this machine, as jobs of Slurm, or as tasks of Ray.",
-    )
-    command.add_argument(
-        "--launcher-options",
-        nargs="*",
-        default=(),
-        metavar="NAME=VALUE",
-        help="Parameters of Slurm's jobs (submitit's names) or of Ray's tasks.",
-    )
+    add_workers(command)
     command.add_argument(
         "--keep-replay",
         action="store_true",
@@ -82,6 +66,28 @@ def parse(flags: list[str]) -> argparse.Namespace:
     fields.add(command, name, algorithms, several=True)
     fields.refuse_foreign_flags(command, flags, algorithms)
     return command.parse(flags)
+
+
+def add_workers(command: Parser) -> None:
+    """The flags that say how many workers there are, and where."""
+    command.add_argument(
+        "--workers",
+        type=int,
+        help="Processes side by side; by default as many as cores and memory allow.",
+    )
+    command.add_argument(
+        "--launcher",
+        choices=typing.get_args(launchers.Name),
+        default="local",
+        help="Where workers run: on this machine, as jobs of Slurm, or as tasks of Ray.",
+    )
+    command.add_argument(
+        "--launcher-options",
+        nargs="*",
+        default=(),
+        metavar="NAME=VALUE",
+        help="Parameters of Slurm's jobs (submitit's names) or of Ray's tasks.",
+    )
 
 
 def run(arguments: argparse.Namespace, out: TextIO) -> None:
@@ -132,11 +138,11 @@ def sweep_folder(arguments: argparse.Namespace) -> SweepFolder:
         arguments.out,
         arguments.preset,
         given,
-        arguments.group,
-        arguments.workers,
-        arguments.keep_replay,
-        arguments.launcher,
-        tuple(arguments.launcher_options),
+        group=arguments.group,
+        keep_replay=arguments.keep_replay,
+        workers=arguments.workers,
+        launcher=arguments.launcher,
+        launcher_options=tuple(arguments.launcher_options),
     )
     if same := grid.size(given) - len(folder.runs()):
         print(f"{same} cells are equal to others and are run once", file=sys.stderr)

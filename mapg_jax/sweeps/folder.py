@@ -4,8 +4,11 @@ import dataclasses
 import json
 import os
 import pathlib
-from typing import Any
+import typing
+from collections.abc import Mapping
+from typing import Any, ClassVar, Self
 
+from envs.values import fits
 from mapg_jax.runs.folder import FORMAT, make_folder, write_json
 from mapg_jax.sweeps import grid, launchers
 from mapg_jax.sweeps.groups import Grouping
@@ -13,18 +16,89 @@ from mapg_jax.training.config import Config
 
 
 @dataclasses.dataclass(frozen=True)
-class SweepFolder:
-    """Where a sweep keeps its grid and its runs."""
+class FolderOfRuns:
+    """Where many runs are kept, and a file that says which and how they are carried out."""
+
+    FILE: ClassVar[str]
 
     path: pathlib.Path
     preset: str
-    values: grid.Values
+    values: Mapping[str, Any]
     """Of the fields that are given; all others are the preset's."""
-    group: Grouping = "auto"
+    _: dataclasses.KW_ONLY
     workers: int | None = None
-    keep_replay: bool = False
     launcher: launchers.Name = "local"
     launcher_options: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        """Refuses what no command line would give, as a damaged file does.
+
+        Raises:
+          ValueError: if a field is of another type, or there are no workers.
+        """
+        hints = typing.get_type_hints(type(self))
+        for name in (field.name for field in dataclasses.fields(self)):
+            value, hint = getattr(self, name), hints[name]
+            if not fits(value, hint):
+                expected = hint.__name__ if isinstance(hint, type) else hint
+                raise ValueError(f"{name} must be {expected}, got {value!r}")
+        if self.workers is not None and self.workers < 1:
+            raise ValueError(f"workers must be at least 1, got {self.workers}")
+
+    def check(self) -> None:
+        """Raises ValueError if its runs cannot be configured."""
+        raise NotImplementedError
+
+    def create(self) -> None:
+        """Makes the folder and writes the file into it.
+
+        Raises:
+          ValueError: if its runs cannot be configured, or the folder exists or cannot be created.
+        """
+        self.check()
+        make_folder(self.path)
+        record = {"format": FORMAT, **dataclasses.asdict(self)}
+        del record["path"]
+        write_json(self.path / self.FILE, record)
+
+    @classmethod
+    def is_one(cls, path: str | os.PathLike) -> bool:
+        """Whether a folder is one of these."""
+        return (pathlib.Path(path) / cls.FILE).is_file()
+
+    @classmethod
+    def open(cls, path: str | os.PathLike) -> Self:
+        """The folder of an earlier command.
+
+        Raises:
+          ValueError: if its file cannot be read.
+        """
+        path = pathlib.Path(path)
+        file = path / cls.FILE
+        try:
+            record = json.loads(file.read_text())
+            if (found := record.pop("format", 1)) != FORMAT:
+                raise ValueError(f"it is of format {found!r}, and this version reads {FORMAT}")
+            folder = cls.of_record(path, _with_tuples(record))
+            folder.check()
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise ValueError(f"{file} is damaged: {error}") from None
+        return folder
+
+    @classmethod
+    def of_record(cls, path: pathlib.Path, record: dict[str, Any]) -> Self:
+        """What the file holds, as it was."""
+        return cls(path, **record)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SweepFolder(FolderOfRuns):
+    """Where a sweep keeps its grid and its runs; several values a field."""
+
+    FILE: ClassVar[str] = "sweep.json"
+
+    group: Grouping = "auto"
+    keep_replay: bool = False
 
     def runs(self) -> list[tuple[Config, pathlib.Path]]:
         """Each cell and its run folder.
@@ -36,43 +110,12 @@ class SweepFolder:
         names = grid.names(cells, self.values)
         return [(cell, self.path / name) for cell, name in zip(cells, names, strict=True)]
 
-    def create(self) -> None:
-        """Makes the folder and writes the grid into it.
-
-        Raises:
-          ValueError: if the folder exists or cannot be created.
-        """
-        make_folder(self.path)
-        record = {"format": FORMAT, **dataclasses.asdict(self)}
-        del record["path"]
-        write_json(self.path / "sweep.json", record)
-
-    @classmethod
-    def is_one(cls, path: str | os.PathLike) -> bool:
-        """Whether a folder is that of a sweep."""
-        return (pathlib.Path(path) / "sweep.json").is_file()
-
-    @classmethod
-    def open(cls, path: str | os.PathLike) -> "SweepFolder":
-        """The folder of an earlier sweep.
-
-        Raises:
-          ValueError: if its grid cannot be read.
-        """
-        path = pathlib.Path(path)
-        file = path / "sweep.json"
-        try:
-            record = json.loads(file.read_text())
-            if (found := record.pop("format", 1)) != FORMAT:
-                raise ValueError(f"it is of format {found!r}, and this version reads {FORMAT}")
-            values = {k: tuple(map(_as_tuple, v)) for k, v in record.pop("values").items()}
-            options = tuple(record.pop("launcher_options", ()))
-            folder = cls(path, values=values, launcher_options=options, **record)
-            folder.runs()
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise ValueError(f"{file} is damaged: {error}") from None
-        return folder
+    def check(self) -> None:
+        self.runs()
 
 
-def _as_tuple(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
+def _with_tuples(value: Any) -> Any:
+    """Of JSON, which has lists alone."""
+    if isinstance(value, dict):
+        return {name: _with_tuples(part) for name, part in value.items()}
+    return tuple(map(_with_tuples, value)) if isinstance(value, list) else value

@@ -31,3 +31,22 @@ def test_a_sweep_folder_of_another_format_is_refused_in_one_line(tmp_path):
         with pytest.raises(ValueError, match=message) as error:
             SweepFolder.open(folder.path)
         assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"launcher": "foo"},
+        {"workers": "x"},
+        {"workers": 0},
+        {"group": "some"},
+        {"launcher_options": [1]},
+        {"values": {"seed": 5}},
+    ],
+)
+def test_a_damaged_sweep_folder_is_named(damage, tmp_path):
+    SweepFolder(tmp_path / "s", "smoke", {"seed": (0, 1)}).create()
+    file = tmp_path / "s" / "sweep.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), **damage}))
+    with pytest.raises(ValueError, match=r"sweep\.json is damaged: "):
+        SweepFolder.open(tmp_path / "s")
