@@ -14,12 +14,12 @@ from mapg_jax.cli import config_file, fields
 from mapg_jax.cli.console import complain, refuse_politely
 from mapg_jax.cli.main import parser
 from mapg_jax.cli.parser import value_of
+from mapg_jax.cli.sweep import add_workers
 from mapg_jax.runs.locking import lock
-from mapg_jax.sweeps import launchers
 from mapg_jax.training.config import Config, config_type, preset, refuse_foreign
 
 if TYPE_CHECKING:
-    from mapg_jax.sweeps.search import Dimension, SearchFolder
+    from mapg_jax.sweeps.search import Dimension, Plan, SearchFolder
 
 EXAMPLE = (
     "Example: mapg search --env pendulum --heads 10 --steps 20000 --space "
@@ -41,13 +41,7 @@ def parse(flags: list[str]) -> argparse.Namespace:
     )
     command.add_argument("--trials", type=int, default=20, help="Runs, pruned ones too.")
     command.add_argument("--out", type=pathlib.Path, required=True, help="Folder of the search.")
-    command.add_argument("--workers", type=int, help="Runs side by side.")
-    command.add_argument(
-        "--launcher", choices=typing.get_args(launchers.Name), default="local", help="As of sweep."
-    )
-    command.add_argument(
-        "--launcher-options", nargs="*", default=(), metavar="NAME=VALUE", help="As of sweep."
-    )
+    add_workers(command)
     fields.add_preset(command)
     config_file.add_argument(command)
     fields.add(command, name, [algorithm], several=False)
@@ -58,17 +52,21 @@ def parse(flags: list[str]) -> argparse.Namespace:
 def run(arguments: argparse.Namespace, out: TextIO) -> None:
     """Searches."""
     refuse_without_optuna()
+    from mapg_jax.sweeps.search import make_plan
+
     search = refuse_politely(lambda: search_folder(arguments))
+    plan = refuse_politely(lambda: make_plan(search))
     refuse_politely(search.create)
-    carry_out(search, out)
+    _go(plan, out)
 
 
 def go_on(path: pathlib.Path, out: TextIO) -> None:
     """Runs what is missing of a search."""
     refuse_without_optuna()
-    from mapg_jax.sweeps.search import SearchFolder
+    from mapg_jax.sweeps.search import SearchFolder, make_plan
 
-    carry_out(refuse_politely(lambda: SearchFolder.open(path)), out)
+    search = refuse_politely(lambda: SearchFolder.open(path))
+    _go(refuse_politely(lambda: make_plan(search)), out)
 
 
 def refuse_without_optuna() -> None:
@@ -86,8 +84,6 @@ def search_folder(arguments: argparse.Namespace) -> "SearchFolder":
     from mapg_jax.sweeps.search import SearchFolder
 
     given = fields.given(arguments)
-    if arguments.trials < 1:
-        raise ValueError(f"trials must be at least 1, got {arguments.trials}")
     config = preset(arguments.preset, **given)
     space = dict(_dimension(config, text) for text in arguments.space)
     if twice := sorted(set(space) & set(given)):
@@ -96,11 +92,11 @@ def search_folder(arguments: argparse.Namespace) -> "SearchFolder":
         arguments.out,
         arguments.preset,
         given,
-        space,
-        arguments.trials,
-        arguments.workers,
-        arguments.launcher,
-        tuple(arguments.launcher_options),
+        space=space,
+        trials=arguments.trials,
+        workers=arguments.workers,
+        launcher=arguments.launcher,
+        launcher_options=tuple(arguments.launcher_options),
     )
 
 
@@ -121,26 +117,21 @@ def _dimension(config: Config, text: str) -> "tuple[str, Dimension]":
             return name, Dimension(tuple(value_of(hint, item) for item in items(values)))
         if colon and scale != "log":
             raise ValueError(f"{scale} is no scale; leave it out, or write log:{ends}")
-        dimension = Dimension((), value_of(hint, low), value_of(hint, high), bool(colon))
-    except argparse.ArgumentTypeError as error:
+        return name, Dimension((), value_of(hint, low), value_of(hint, high), bool(colon))
+    except (argparse.ArgumentTypeError, ValueError) as error:
         raise ValueError(f"--space {name}: {error}") from None
-    numbers = all(type(end) in (int, float) for end in dimension.ends)
-    if not numbers or dimension.low >= dimension.high or (dimension.log and dimension.low <= 0):
-        above = " above 0" if dimension.log else ""
-        raise ValueError(f"--space {name}: {ends} is no range of numbers{above}, low..high")
-    return name, dimension
 
 
-def carry_out(search: "SearchFolder", out: TextIO) -> None:
+def _go(plan: "Plan", out: TextIO) -> None:
     """Searches, and prints the best run as a command."""
-    from mapg_jax.sweeps import search as module
+    from mapg_jax.sweeps.search import carry_out
 
+    search = plan.search
     refusal = f"another process carries out {search.path}"
     with refuse_politely(lambda: lock(search.path / ".lock", refusal)):
-        refuse_politely(lambda: module.carry_out(search, lambda line: print(line, file=sys.stderr)))
-    found = module.best(search)
+        found = refuse_politely(lambda: carry_out(plan, lambda line: print(line, file=sys.stderr)))
     if found is None:
-        sys.exit(complain(f"no trial of {search.path} has finished", 1))
+        sys.exit(complain(f"none of the {search.trials} trials of {search.path} has a score", 1))
     folder, score = found
     print(f"best of {search.trials} trials: {folder.path.name}, score {score:.1f}", file=out)
     chosen = {name: getattr(folder.config, name) for name in search.space}

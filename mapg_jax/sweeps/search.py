@@ -9,17 +9,19 @@ import math
 import os
 import pathlib
 import time
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, ClassVar, NamedTuple, Self
 
 import optuna
 from optuna.storages.journal import JournalFileBackend
+from optuna.trial import FrozenTrial, TrialState
 
-from mapg_jax.runs.folder import FORMAT, RunFolder, make_folder, write_json
+from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.metrics import read_metrics
 from mapg_jax.runs.signals import StoppedError, caught_signals
 from mapg_jax.sweeps import launchers
-from mapg_jax.sweeps.groups import Job, workers_that_fit
+from mapg_jax.sweeps.folder import FolderOfRuns
+from mapg_jax.sweeps.groups import Job, group_bytes, refuse_a_full_disk, workers_that_fit
 from mapg_jax.sweeps.pool import Worker
 from mapg_jax.training.config import Config, preset
 
@@ -36,7 +38,18 @@ class Dimension:
     high: float = 0.0
     log: bool = False
 
-    def suggested(self, trial: optuna.Trial, name: str) -> Any:
+    def __post_init__(self):
+        """
+        Raises:
+          ValueError: if there is neither a choice nor a range of numbers.
+        """
+        numbers = all(type(end) in (int, float) for end in self.ends)
+        if self.choices or (numbers and self.low < self.high and not (self.log and self.low <= 0)):
+            return
+        above = " above 0" if self.log else ""
+        raise ValueError(f"{self.low}..{self.high} is no range of numbers{above}, low..high")
+
+    def suggested(self, trial: optuna.Trial | FrozenTrial, name: str) -> Any:
         """The value of a trial."""
         if self.choices:  # by number: Optuna keeps no tuples
             return self.choices[trial.suggest_categorical(name, list(range(len(self.choices))))]
@@ -50,96 +63,123 @@ class Dimension:
         return self.choices or (self.low, self.high)
 
 
-@dataclasses.dataclass(frozen=True)
-class SearchFolder:
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SearchFolder(FolderOfRuns):
     """Where a search keeps what it looks for, its study, and its runs."""
 
-    path: pathlib.Path
-    preset: str
-    values: Mapping[str, Any]
-    """Of the fields that are given; all others are the preset's."""
+    FILE: ClassVar[str] = "search.json"
+
     space: Mapping[str, Dimension]
     """Of the fields that are looked for."""
     trials: int
-    workers: int | None = None
-    launcher: launchers.Name = "local"
-    launcher_options: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.trials < 1:
+            raise ValueError(f"trials must be at least 1, got {self.trials}")
 
     def config(self, found: Mapping[str, Any]) -> Config:
         """A run of the search."""
         return preset(self.preset, **{**self.values, **found})
 
-    def create(self) -> None:
-        """Makes the folder and writes into it what is looked for.
+    def found(self, trial: optuna.Trial | FrozenTrial) -> dict[str, Any]:
+        """The values of a trial."""
+        return {name: axis.suggested(trial, name) for name, axis in self.space.items()}
 
-        Raises:
-          ValueError: if an end of a range is none of its field, or the folder exists.
-        """
-        for name, dimension in self.space.items():
-            for value in dimension.ends:
+    def run(self, number: int) -> pathlib.Path:
+        """The run folder of a trial."""
+        return self.path / f"trial-{number}"
+
+    def check(self) -> None:
+        for name, axis in self.space.items():
+            for value in axis.ends:
                 self.config({name: value})
-        make_folder(self.path)
-        record = {"format": FORMAT, **dataclasses.asdict(self)}
-        del record["path"]
-        write_json(self.path / "search.json", record)
 
     @classmethod
-    def is_one(cls, path: str | os.PathLike) -> bool:
-        """Whether a folder is that of a search."""
-        return (pathlib.Path(path) / "search.json").is_file()
-
-    @classmethod
-    def open(cls, path: str | os.PathLike) -> "SearchFolder":
-        """The folder of an earlier search.
-
-        Raises:
-          ValueError: if it cannot be read.
-        """
-        path = pathlib.Path(path)
-        file = path / "search.json"
-        try:
-            record = json.loads(file.read_text())
-            if (found := record.pop("format", 1)) != FORMAT:
-                raise ValueError(f"it is of format {found!r}, and this version reads {FORMAT}")
-            space = {k: Dimension(**_tuples(v)) for k, v in record.pop("space").items()}
-            options = tuple(record.pop("launcher_options", ()))
-            values = _tuples(record.pop("values"))
-            return cls(path, values=values, space=space, launcher_options=options, **record)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise ValueError(f"{file} is damaged: {error}") from None
+    def of_record(cls, path: pathlib.Path, record: dict[str, Any]) -> Self:
+        space = {name: Dimension(**axis) for name, axis in record["space"].items()}
+        return super().of_record(path, {**record, "space": space})
 
     def study(self) -> optuna.Study:
-        """The trials so far; Optuna's tree of Parzen estimators asks, its median rule prunes."""
-        backend = JournalFileBackend(str(self.path / "study.journal"))
-        return optuna.create_study(
-            storage=optuna.storages.JournalStorage(backend),
-            study_name="search",
-            direction="maximize",
-            load_if_exists=True,
-            sampler=optuna.samplers.TPESampler(seed=0),
-            pruner=optuna.pruners.MedianPruner(n_startup_trials=4),
-        )
+        """The trials so far; Optuna's tree of Parzen estimators asks, its median rule prunes.
+
+        It is for the one process that carries out the search: a line of the journal that an
+        earlier one did not end is cut off, or Optuna would write the next one behind it.
+
+        Raises:
+          ValueError: if the journal cannot be read.
+        """
+        journal = self.path / "study.journal"
+        if journal.exists():
+            os.truncate(journal, journal.read_bytes().rfind(b"\n") + 1)
+        try:
+            return optuna.create_study(
+                storage=optuna.storages.JournalStorage(JournalFileBackend(str(journal))),
+                study_name="search",
+                direction="maximize",
+                load_if_exists=True,
+                sampler=optuna.samplers.TPESampler(seed=0),
+                pruner=optuna.pruners.MedianPruner(n_startup_trials=4),
+            )
+        except (AssertionError, KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{journal} is damaged: {error}") from None
 
 
-def _tuples(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Of JSON, which has lists alone."""
-    return {k: tuple(map(_tuple, v)) if isinstance(v, list) else v for k, v in values.items()}
+class Plan(NamedTuple):
+    """How a search will be carried out."""
+
+    search: SearchFolder
+    workers: int
+    launcher: launchers.Launcher
 
 
-def _tuple(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value
+def make_plan(search: SearchFolder) -> Plan:
+    """How many trials go side by side, and where; nothing is written.
+
+    Raises:
+      ValueError: if a value is none of its field, a launcher lacks its package, or memory or disk
+        do not suffice.
+    """
+    launchers.leave_the_memory_to_workers()
+    launcher = launchers.launcher(search.launcher, search.launcher_options)
+    largest = _largest(search)
+    trials = [(Job(largest, search.run(number)),) for number in range(search.trials)]
+    if launcher.here:
+        workers = workers_that_fit(trials, search.workers)
+    else:  # the machines that they run on know what fits
+        workers = min(search.workers or search.trials, search.trials)
+    refuse_a_full_disk(trials, workers, keep_replay=False)
+    return Plan(search, workers, launcher)
+
+
+def _largest(search: SearchFolder) -> Config:
+    """The run that needs the most memory, as far as the ends of the space show.
+
+    It has the largest value of every field, or of one where these do not go together.
+    """
+
+    def size(found: Mapping[str, Any]) -> int:
+        return group_bytes((Job(search.config(found), search.path),))
+
+    each = {
+        name: max(axis.ends, key=lambda value, name=name: size({name: value}))
+        for name, axis in search.space.items()
+    }
+    try:
+        size(each)
+    except ValueError:
+        return search.config(max(({name: each[name]} for name in each), key=size))
+    return search.config(each)
 
 
 class _Trial:
     """A trial and the worker that carries it out."""
 
-    def __init__(self, search: SearchFolder, trial: optuna.Trial, share, launcher):
-        self.trial, self.share = trial, share
-        found = {name: axis.suggested(trial, name) for name, axis in search.space.items()}
-        self.job = Job(search.config(found), search.path / f"trial-{trial.number}")
+    def __init__(self, trial: optuna.Trial, job: Job, share: launchers.Share, launcher):
+        self.trial, self.job, self.share = trial, job, share
         self.pruned = False
         self._told = set(trial.storage.get_trial(trial._trial_id).intermediate_values)
-        self.worker = Worker((self.job,), share, False, launcher)
+        self.worker = Worker((job,), share, False, launcher)
 
     @property
     def folder(self) -> RunFolder:
@@ -160,42 +200,42 @@ class _Trial:
         """Tells what became of it, once its worker has ended; gives a line."""
         self.worker.wait()
         failure = self.worker.failures().get(self.job.path)
-        states = optuna.trial.TrialState
         if failure is None:
             score = float(json.loads(self.folder.evaluation.read_text())["mean"])
             study.tell(self.trial, score)
             return f"{self.job.path.name}: score {score:.1f}"
-        study.tell(self.trial, state=states.PRUNED if self.pruned else states.FAIL)
+        study.tell(self.trial, state=TrialState.PRUNED if self.pruned else TrialState.FAIL)
         return f"{self.job.path.name}: {'pruned' if self.pruned else failure.splitlines()[0]}"
 
 
-def carry_out(search: SearchFolder, tell: Callable[[str], None] = lambda line: None) -> None:
+def carry_out(
+    plan: Plan, tell: Callable[[str], None] = lambda line: None
+) -> tuple[RunFolder, float] | None:
     """Begins the trials that are missing and goes on with those that were cut off.
 
     Args:
-      search: what is looked for.
+      plan: of a search whose folder exists.
       tell: called with a line an event.
 
+    Returns:
+      The run with the highest score, and its score; None if no trial has one.
+
     Raises:
-      ValueError: if a launcher lacks its package, or memory does not suffice.
+      ValueError: if the study or the folder of a trial is damaged.
       StoppedError: on SIGINT or SIGTERM, once all workers have saved their state.
     """
-    study = search.study()
-    launcher = launchers.launcher(search.launcher, search.launcher_options)
-    states = optuna.trial.TrialState
-    cut_off = [optuna.Trial(study, t._trial_id) for t in study.get_trials(states=[states.RUNNING])]
-    missing = search.trials - len(study.get_trials(deepcopy=False))
-    count = _workers(search, launcher, missing + len(cut_off))
-    free, under_way = launcher.shares(count), []
+    search, study = plan.search, plan.search.study()
+    ended = sum(trial.state.is_finished() for trial in study.get_trials(deepcopy=False))
+    free = plan.launcher.shares(max(1, min(plan.workers, search.trials - ended)))
+    trials, under_way = _trials(study, search.trials), []
     with caught_signals() as signals:
         try:
-            while (cut_off or missing > 0 or under_way) and not signals:
-                while free and (cut_off or missing > 0):
-                    if not cut_off:
-                        missing -= 1
-                    trial = cut_off.pop(0) if cut_off else study.ask()
-                    under_way.append(_Trial(search, trial, free.pop(0), launcher))
-                    tell(f"{under_way[-1].job.path.name}: {_shown(search, under_way[-1])}")
+            while not signals:
+                while free and not signals and (trial := next(trials, None)):
+                    if job := _job(search, study, trial, tell):
+                        under_way.append(_Trial(trial, job, free.pop(0), plan.launcher))
+                if not under_way:
+                    break
                 for trial in list(under_way):
                     trial.report()
                     if not trial.worker.running():
@@ -210,25 +250,35 @@ def carry_out(search: SearchFolder, tell: Callable[[str], None] = lambda line: N
                 trial.worker.wait()
     if signals:
         raise StoppedError(signals[0], f"mapg resume {search.path}")
+    return _best(search, study)
 
 
-def _workers(search: SearchFolder, launcher: launchers.Launcher, trials: int) -> int:
-    largest = {name: axis.ends[-1] for name, axis in search.space.items()}
-    job = Job(search.config(largest), search.path / "largest")
-    if launcher.here:
-        return workers_that_fit([(job,)] * max(1, trials), search.workers)
-    return max(1, min(search.workers or trials, trials))
+def _trials(study: optuna.Study, count: int) -> Iterator[optuna.Trial]:
+    """Those that were cut off, and new ones until there are so many."""
+    for trial in study.get_trials(states=[TrialState.RUNNING]):
+        yield optuna.Trial(study, trial._trial_id)
+    while len(study.get_trials(deepcopy=False)) < count:
+        yield study.ask()
 
 
-def _shown(search: SearchFolder, trial: _Trial) -> str:
-    return ", ".join(f"{name} {getattr(trial.job.config, name)}" for name in search.space)
+def _job(
+    search: SearchFolder, study: optuna.Study, trial: optuna.Trial, tell: Callable[[str], None]
+) -> Job | None:
+    """The run of a trial; None if its values do not go together, which ends the trial."""
+    found, path = search.found(trial), search.run(trial.number)
+    tell(f"{path.name}: {', '.join(f'{name} {value}' for name, value in found.items())}")
+    try:
+        return Job(search.config(found), path)
+    except ValueError as error:
+        study.tell(trial, state=TrialState.PRUNED)  # of a failure Optuna would learn nothing
+        tell(f"{path.name}: left out: {error}")
+        return None
 
 
-def best(search: SearchFolder) -> tuple[RunFolder, float] | None:
-    """The run with the highest score, and its score; None if no trial has finished."""
-    states = optuna.trial.TrialState
-    done: Sequence[Any] = search.study().get_trials(deepcopy=False, states=[states.COMPLETE])
+def _best(search: SearchFolder, study: optuna.Study) -> tuple[RunFolder, float] | None:
+    done = study.get_trials(deepcopy=False, states=[TrialState.COMPLETE])
     if not done:
         return None
-    found = max(done, key=lambda trial: trial.values)
-    return RunFolder.open(search.path / f"trial-{found.number}"), found.values[0]
+    trial = max(done, key=lambda trial: trial.values)
+    config = search.config(search.found(trial))  # the folder may be gone
+    return RunFolder(search.run(trial.number), config), trial.values[0]

@@ -2,11 +2,13 @@
 
 import json
 import shlex
+import shutil
 from typing import ClassVar
 
 import pytest
 
 from mapg_jax.cli import fields, search, train
+from mapg_jax.runs import disk
 from mapg_jax.runs.folder import RunFolder, is_blank
 from mapg_jax.runs.metrics import MetricsFile
 from mapg_jax.sweeps import search as module
@@ -105,12 +107,100 @@ def test_values_that_are_lists_stand_in_brackets():
         ("batch_size=8,many", "must be a whole number, got 'many'"),
         ("heads=1,2", "heads is given and looked for"),
         ("discount=0.5..0.9 --trials 0", "trials must be at least 1, got 0"),
+        ("discount=0.5..0.9 --workers 0", "workers must be at least 1, got 0"),
+        ("discount=0.5..0.9 --launcher slurm --workers -1", "workers must be at least 1, got -1"),
+        ("discount=0.5..0.9 --launcher-options a=1", "the launcher local has no options"),
+        ("discount=0.5..0.9 --env nonsense", "unknown environment 'nonsense'"),
+        ("env_options=a=1", "pendulum has no option 'a'"),
+        ("engine=jax,foo", "pendulum has no engine 'foo'"),
+        ("replay_size=2000000000,100", "do not fit"),
     ],
 )
 def test_wrong_input_is_one_line(space, message, mapg, contents):
     status, out, err = mapg(*FLAGS.split(), *space.split())
     assert (status, out) == (2, "") and message in err and err.count("\n") == 1
     assert not contents()
+
+
+def test_a_full_disk_is_refused(mapg, contents, monkeypatch):
+    monkeypatch.setattr(disk, "free_bytes", lambda path: 1_000_000)
+    status, _, err = mapg(*FLAGS.split(), "discount=0.5..0.9")
+    assert status == 2 and "has 1.0 MB left" in err
+    assert not contents()
+
+
+def test_values_that_do_not_go_together_are_left_out(fake, mapg):
+    flags = f"{FLAGS} batch_size=64,16 replay_size=32,100 --trials 12"
+    status, out, err = mapg(*flags.split())
+    assert status == 0 and "best of 12 trials" in out
+    left_out = err.count("left out: a batch of 64 is larger than the replay of 32\n")
+    assert left_out and left_out + len(fake.begun) == 12
+    assert {(c.batch_size, c.replay_size) for c in (job.config for job in fake.begun)} == {
+        (64, 100), (16, 32), (16, 100),
+    }  # fmt: skip
+    assert mapg("resume", "here")[:2] == (0, out)
+    assert left_out + len(fake.begun) == 12
+
+
+def test_if_no_values_go_together_it_says_so(fake, mapg):
+    status, out, err = mapg(*f"{FLAGS} batch_size=64 replay_size=32 --trials 2".split())
+    assert (status, out, fake.begun) == (1, "", [])
+    assert err.splitlines()[-1] == "mapg: none of the 2 trials of here has a score"
+
+
+def test_memory_is_asked_for_the_largest_run(tmp_path):
+    def largest(**space):
+        axes = {name: module.Dimension(several) for name, several in space.items()}
+        return module._largest(module.SearchFolder(tmp_path, "smoke", {}, space=axes, trials=1))
+
+    wide = largest(hidden=((64, 64), (8, 8)), replay_size=(5000, 100))  # the last are not largest
+    assert (wide.hidden, wide.replay_size) == ((64, 64), 5000)
+    apart = largest(batch_size=(64, 16), replay_size=(32, 40))  # which do not go together
+    assert (apart.batch_size, apart.replay_size) == (64, preset("smoke").replay_size)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"launcher": "foo"},
+        {"workers": "x"},
+        {"trials": "x"},
+        {"launcher_options": [1]},
+        {"values": {"heads": 0}},
+        {"space": {"discount": {"low": 0.9, "high": 0.5}}},
+        {"space": {"discount": 5}},
+    ],
+)
+def test_a_damaged_search_is_named(damage, mapg, tmp_path):
+    axes = {"discount": module.Dimension((), 0.5, 0.9)}
+    folder = module.SearchFolder(tmp_path / "here", "smoke", {"heads": 2}, space=axes, trials=3)
+    folder.create()
+    assert module.SearchFolder.open(folder.path) == folder
+    file = folder.path / "search.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), **damage}))
+    status, out, err = mapg("resume", "here")
+    assert (status, out) == (2, "")
+    assert err.startswith("mapg: here/search.json is damaged: ") and err.count("\n") == 1
+
+
+def test_a_torn_line_of_the_journal_is_cut_off(fake, mapg, tmp_path):
+    _, out, _ = mapg(*f"{FLAGS} discount=0.5..0.9 --trials 2".split())
+    journal = tmp_path / "here" / "study.journal"
+    whole = journal.read_text()
+    journal.write_text(f'{whole}{{"op_co')
+    for _ in range(2):  # what is written behind it can be read
+        assert mapg("resume", "here")[:2] == (0, out)
+    assert journal.read_text().startswith(whole) and len(fake.begun) == 2
+    journal.write_text(f'{{"op_co\n{whole}')
+    status, _, err = mapg("resume", "here")
+    assert status == 2 and err.startswith("mapg: here/study.journal is damaged: ")
+
+
+def test_the_best_run_needs_no_folder(fake, mapg, tmp_path):
+    _, out, _ = mapg(*f"{FLAGS} discount=0.5..0.9 hidden=[8,8],[4,4] --trials 2".split())
+    for folder in (tmp_path / "here").glob("trial-*"):
+        shutil.rmtree(folder)
+    assert mapg("resume", "here")[:2] == (0, out)
 
 
 def test_without_optuna_it_says_what_to_install(mapg, contents, monkeypatch):
