@@ -16,6 +16,7 @@ from mapg_jax.cli.main import parser
 from mapg_jax.cli.parser import value_of
 from mapg_jax.cli.sweep import add_workers
 from mapg_jax.runs.locking import lock
+from mapg_jax.training import plugins
 from mapg_jax.training.config import Config, config_type, preset, refuse_foreign
 
 if TYPE_CHECKING:
@@ -79,13 +80,17 @@ def search_folder(arguments: argparse.Namespace) -> "SearchFolder":
     """What the flags ask for; nothing is written.
 
     Raises:
-      ValueError: if a field of the space is none, or its values are not.
+      ValueError: if a field of the space is none or named twice, or its values are not.
     """
-    from mapg_jax.sweeps.search import SearchFolder
+    from mapg_jax.sweeps.search import Dimension, SearchFolder
 
     given = fields.given(arguments)
     config = preset(arguments.preset, **given)
-    space = dict(_dimension(config, text) for text in arguments.space)
+    space: dict[str, Dimension] = {}
+    for name, dimension in (_dimension(config, text) for text in arguments.space):
+        if name in space:
+            raise ValueError(f"--space names {name} twice; give all its values at once")
+        space[name] = dimension
     if twice := sorted(set(space) & set(given)):
         raise ValueError(f"{twice[0]} is given and looked for; leave out --{twice[0]}")
     return SearchFolder(
@@ -141,7 +146,8 @@ def _go(plan: "Plan", out: TextIO) -> None:
 
 def command_of(name: str, values: Mapping[str, Any]) -> str:
     """The `mapg train` that makes a run."""
-    words = ["mapg", "train", "--preset", name]
+    imports = [f"--import={module}" for module in plugins.loaded()]
+    words = ["mapg", "train", *imports, "--preset", name]
     for field, value in values.items():
         flag = f"--{field.replace('_', '-')}"
         if isinstance(value, bool):

@@ -3,6 +3,7 @@
 import json
 import shlex
 import shutil
+import sys
 from typing import ClassVar
 
 import pytest
@@ -12,6 +13,7 @@ from mapg_jax.runs import disk
 from mapg_jax.runs.folder import RunFolder, is_blank
 from mapg_jax.runs.metrics import MetricsFile
 from mapg_jax.sweeps import search as module
+from mapg_jax.training import plugins
 from mapg_jax.training.config import preset
 
 FLAGS = "search --preset smoke --heads 2 --workers 1 --out here --space"
@@ -107,6 +109,7 @@ def test_values_that_are_lists_stand_in_brackets():
         ("batch_size=8,many", "must be a whole number, got 'many'"),
         ("heads=1,2", "heads is given and looked for"),
         ("discount=0.5..0.9 --trials 0", "trials must be at least 1, got 0"),
+        ("discount=0.1..0.2 discount=0.3,0.4", "--space names discount twice"),
         ("discount=0.5..0.9 --workers 0", "workers must be at least 1, got 0"),
         ("discount=0.5..0.9 --launcher slurm --workers -1", "workers must be at least 1, got -1"),
         ("discount=0.5..0.9 --launcher-options a=1", "the launcher local has no options"),
@@ -201,6 +204,16 @@ def test_the_best_run_needs_no_folder(fake, mapg, tmp_path):
     for folder in (tmp_path / "here").glob("trial-*"):
         shutil.rmtree(folder)
     assert mapg("resume", "here")[:2] == (0, out)
+
+
+def test_the_command_imports_what_the_search_did(fake, mapg, tmp_path, monkeypatch):
+    monkeypatch.setattr(plugins, "_loaded", [])
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    (tmp_path / "nothing_of_ours.py").touch()
+    flags = f"{FLAGS} discount=0.5..0.9 --trials 1 --import nothing_of_ours"
+    _, out, _ = mapg(*flags.split())
+    line = next(line for line in out.splitlines() if line.startswith("mapg train"))
+    assert train.parse(shlex.split(line)[2:]).imports == ["nothing_of_ours"]
 
 
 def test_without_optuna_it_says_what_to_install(mapg, contents, monkeypatch):
