@@ -1,4 +1,4 @@
-"""The folder of a sweep: its grid as data, and a run folder for each cell."""
+"""The folders of commands that carry out many runs: which, as data; and that of a sweep."""
 
 import dataclasses
 import json
