@@ -9,6 +9,7 @@ from experiments import curves, scores, table2
 from experiments.plan import Plan
 from experiments.verdicts import CONTRADICTED, SUPPORTED, UNDECIDED, Verdict, undecidable, waiting
 from mapg_jax.reports.inference import Estimate
+from mapg_jax.reports.plots import TOGETHER
 from mapg_jax.reports.stratified import effect, least_p, power, van_elteren
 from mapg_jax.training.config import Config
 
@@ -53,7 +54,7 @@ class Comparison(NamedTuple):
             for env, (ours, theirs) in pairs.items()
         }
         if set(pairs) == set(self.envs):
-            found["together"] = effect(list(pairs.values()))
+            found[TOGETHER] = effect(list(pairs.values()))
         return found
 
     def signed(self, pairs: Mapping[str, Pair]) -> list[Pair]:

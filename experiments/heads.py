@@ -50,7 +50,8 @@ def section(plan: Plan) -> str:
         (
             "![Q-gap of the heads over training](heads.png)",
             "Q-gap over the standard deviation of Q (docs/metrics.md), M = 10: the mean over "
-            "seeds and, between thin lines, its 95 % interval. 0 would be proposals that the critic values alike.",
+            "seeds and, between thin lines, its 95 % interval. 0 would be proposals that the "
+            "critic values alike.",
             "Score by rule, M = 10, with the bootstrap's 95 % interval over seeds: the paper's; "
             "`all`, every head gets the gradient of every sample; `wide`, heads that start in "
             "U(±1); `diverse`, the preset, whose head is held for an episode, in evaluation too, "

@@ -17,6 +17,8 @@ COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#5
 """Okabe and Ito's, which the colour-blind tell apart too."""
 STYLES = ("-", "--", ":")
 """Of lines, from the eighth on, when the colours come round again."""
+TOGETHER = "together"
+"""Names the line of all tasks in a forest plot."""
 PANEL = (4.3, 3.2)  # inches
 LEAST_IN_A_BOX = 5
 
@@ -128,10 +130,10 @@ def draw_boxes(
 def draw_forest(
     groups: Mapping[str, Mapping[str, statistics.Estimate]], label: str, null: float = 0.5
 ) -> "Figure":
-    """A panel a comparison, a line a task: estimate and interval; the last line is of all together.
+    """A panel a comparison, a line a task: estimate and interval.
 
     Args:
-      groups: by comparison and task; the last of each is drawn as a diamond.
+      groups: by comparison and task; what is of the tasks TOGETHER is drawn as a diamond.
       label: of the horizontal axis.
       null: where there is no difference.
     """
@@ -141,9 +143,8 @@ def draw_forest(
     figure = Figure(figsize=(7, 0.9 + 0.3 * sum(lines) + 0.4 * len(lines)), layout="constrained")
     panels = figure.subplots(len(lines), 1, sharex=True, squeeze=False, height_ratios=lines)[:, 0]
     for axes, (title, estimates) in zip(panels, groups.items(), strict=True):
-        for place, estimate in enumerate(estimates.values()):
-            last = place == len(estimates) - 1
-            colour, marker = (COLOURS[2], "D") if last else (COLOURS[1], "o")
+        for place, (name, estimate) in enumerate(estimates.items()):
+            colour, marker = (COLOURS[2], "D") if name == TOGETHER else (COLOURS[1], "o")
             axes.plot([estimate.low, estimate.high], [place, place], color=colour, linewidth=1.5)
             axes.plot(estimate.value, place, marker, color=colour, markersize=6)
         axes.set_yticks(range(len(estimates)), list(estimates))
