@@ -32,11 +32,12 @@ def precision() -> str:
     return str(settings.jax_default_matmul_precision or PRECISION)
 
 
-def this_host(engine: str) -> dict[str, str]:
+def this_host(engine: str, devices: int = 1) -> dict[str, str]:
     """What is recorded of the process that trains, as text; '' where the platform does not tell.
 
     Args:
       engine: of the physics, which `auto` chose.
+      devices: D, of the run.
     """
     return {
         "processor": processor(),
@@ -44,6 +45,7 @@ def this_host(engine: str) -> dict[str, str]:
         "commit": commit(),
         "threads": os.environ.get("NPROC", str(cpus())),  # of XLA
         "engine": engine,
+        "devices": str(devices),  # sums over shards are taken in their order
         "precision": precision(),  # of matrix products
     }
 

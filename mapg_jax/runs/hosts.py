@@ -5,6 +5,7 @@ first of them alone writes the run folder.
 """
 
 import os
+import re
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -14,6 +15,7 @@ from jax.sharding import NamedSharding
 
 from mapg_jax.training.layout import Layout
 from mapg_jax.training.state import TrainState
+from mapg_jax.training.trainer import Trainer
 
 Made = TypeVar("Made")
 
@@ -27,8 +29,11 @@ def join(address: str | None, count: int | None, index: int | None) -> None:
       index: of this one, from 0.
 
     Raises:
-      ValueError: if a number is missing and there is no cluster to ask.
+      ValueError: if a number is missing and there is no cluster to ask, the address has no port, or
+        the processes do not meet.
     """
+    if address is not None and not re.fullmatch(r".+:\d+", address):
+        raise ValueError(f"--coordinator must be HOST:PORT or slurm, got {address!r}")
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
     if "SLURM_JOB_ID" not in os.environ and None in (address, count, index):
         raise ValueError(
@@ -40,6 +45,21 @@ def join(address: str | None, count: int | None, index: int | None) -> None:
     except (RuntimeError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise ValueError(f"the processes of this run cannot meet: {reason}") from None
+
+
+def refuse_idle(trainer: Trainer) -> None:
+    """Raises ValueError if one of the processes has no device of the run, and no part in it."""
+    hosts, devices = jax.process_count(), jax.device_count()
+    at_work = {device.process_index for device in trainer.layout.mesh.devices.flat}
+    if len(at_work) == hosts:
+        return
+    remedy = f"--shards {devices}, or a multiple, and --devices all"
+    if trainer.on_one_device:
+        remedy = f"--hosts 1: {trainer.config.env} runs on one device ({trainer.env.backend})"
+    raise ValueError(
+        f"the run takes {trainer.layout.devices} of {devices} devices, and {len(at_work)} of "
+        f"{hosts} hosts have one of them; choose {remedy}"
+    )
 
 
 def is_first() -> bool:

@@ -152,7 +152,7 @@ class Run:
           StoppedError: on a signal, once the state is saved.
         """
         with contextlib.ExitStack() as stack:
-            host = this_host(self.trainer.env.backend)
+            host = this_host(self.trainer.env.backend, self.trainer.layout.devices)
             stack.enter_context(precise())
             ours = hosts.is_first()  # who writes
             working = [self.members[k] for k in self._healthy() if ours]

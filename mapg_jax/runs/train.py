@@ -98,6 +98,7 @@ def begin(config: Config, out: str | os.PathLike | None = None, devices: int | N
       ValueError: if the run cannot be made, before anything is written.
     """
     program = prepare(config, devices=devices)
+    hosts.refuse_idle(program.trainer)
     place = pathlib.Path("runs" if out is None else out)
     disk.refuse_a_full_disk(disk.run_bytes(program.trainer), place, 0, SMALLER)
     if out is None and jax.process_count() > 1:
@@ -122,6 +123,7 @@ def take_up(path: str | os.PathLike, steps: int | None = None, devices: int | No
     if steps is not None:
         folder = RunFolder(folder.path, dataclasses.replace(folder.config, steps=steps))
     program = prepare(folder.config, devices=devices)
+    hosts.refuse_idle(program.trainer)
     needed, taken = disk.run_bytes(program.trainer), disk.taken_bytes(folder.path)
     disk.refuse_a_full_disk(needed, folder.path, taken, "another disk: copy the run folder there")
     run = Run(program, [folder], locks)
@@ -132,7 +134,8 @@ def take_up(path: str | os.PathLike, steps: int | None = None, devices: int | No
             "--steps with a larger number trains it further"
         )
     if not run.finished:
-        if run.turn and (others := folder.differences(this_host(run.trainer.env.backend))):
+        host = this_host(run.trainer.env.backend, run.trainer.layout.devices)
+        if run.turn and (others := folder.differences(host)):
             LOG.warning("%s was trained by %s: bits can differ", path, "; ".join(others))
         if hosts.is_first():
             folder.write_config()

@@ -57,6 +57,11 @@ class Trainer:
         """Environment steps of a turn, all environments together."""
         return self.turn.steps
 
+    @property
+    def on_one_device(self) -> bool:
+        """Whether it can be on one device alone."""
+        return _on_one_device(self.env)
+
     def init(self, seed: int | Int[Array, ""]) -> TrainState:
         """The state before the first step; of several shards, parts of it have an axis [S, ...]."""
         n = self.config.environments
@@ -163,8 +168,7 @@ def make_trainer(config: Config, devices: int | None = 1) -> Trainer:
       ValueError: if the environment cannot be made, or the shards cannot be on so many devices.
     """
     env = envs.with_episodes(config.make_env(), config.episode_steps())
-    # Calls of the host are in no order among devices.
-    on_one = env.backend in ("native", "gymnasium")
+    on_one = _on_one_device(env)
     if devices is None:
         devices = 1 if on_one else most_devices(config.shards)
     if on_one and devices > 1:
@@ -184,6 +188,11 @@ def agent_shapes(config: Config, agent: Agent, observation_size: int) -> AgentSt
         return agent.init(jax.random.key(0), hyperparameters(config), observation_size)
 
     return jax.eval_shape(init)
+
+
+def _on_one_device(env: Episodes) -> bool:
+    """Whether it is stepped by calls of the host, which are in no order among devices."""
+    return env.backend in ("native", "gymnasium")
 
 
 def _where(ended: Bool[Array, "N"], fresh: Any, kept: Any) -> Any:

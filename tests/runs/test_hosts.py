@@ -1,4 +1,4 @@
-"""Two processes that make one run, over gloo on this machine."""
+"""Several processes that make one run: here two, over gloo on this machine."""
 
 import os
 import signal
@@ -7,14 +7,18 @@ import subprocess
 import sys
 import time
 
+import jax
 import numpy as np
 import oracles
 import pytest
 
+from mapg_jax.runs import hosts
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.metrics import read_metrics
+from mapg_jax.runs.train import begin
+from mapg_jax.training.config import Config
 
-pytestmark = pytest.mark.cluster
+cluster = pytest.mark.cluster
 
 FLAGS = (
     "--env pendulum --preset smoke --shards 4 --environments 8 --hidden 8 8 --batch-size 32",
@@ -23,21 +27,21 @@ FLAGS = (
 )
 
 
-def start(*arguments, devices, hosts=1):
+def start(*arguments, devices, processes=1):
     """The command in each of its processes."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     flags = f"--xla_force_host_platform_device_count={devices} --xla_backend_optimization_level=0"
-    meeting = ["--coordinator", f"127.0.0.1:{port}", "--hosts", str(hosts), "--host"]
+    meeting = ["--coordinator", f"127.0.0.1:{port}", "--hosts", str(processes), "--host"]
     return [
         subprocess.Popen(
             [sys.executable, "-m", "mapg_jax", *map(str, arguments)]
-            + ([*meeting, str(i)] if hosts > 1 else []),
+            + ([*meeting, str(i)] if processes > 1 else []),
             env={**os.environ, "XLA_FLAGS": flags},
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )
-        for i in range(hosts)
+        for i in range(processes)
     ]  # fmt: skip
 
 
@@ -51,10 +55,11 @@ def finish(processes, status=0):
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     path = tmp_path_factory.mktemp("hosts") / "run"
-    finish(start("train", *" ".join(FLAGS).split(), "--out", path, devices=2, hosts=2))
+    finish(start("train", *" ".join(FLAGS).split(), "--out", path, devices=2, processes=2))
     return RunFolder.open(path)
 
 
+@cluster
 def test_two_hosts_make_the_run_of_one(whole, tmp_path):
     finish(start("train", *" ".join(FLAGS).split(), "--out", tmp_path / "run", devices=4))
     alone = read_metrics(tmp_path / "run" / "metrics.csv")
@@ -65,10 +70,11 @@ def test_two_hosts_make_the_run_of_one(whole, tmp_path):
         np.testing.assert_allclose(ours["return_mean"], theirs["return_mean"], rtol=1e-4)
 
 
+@cluster
 def test_one_of_two_is_killed_and_both_resume(whole, tmp_path):
     """The one that is left ends by itself; resumed by two, it is the run that nobody killed."""
     path = tmp_path / "run"
-    first, second = start("train", *" ".join(FLAGS).split(), "--out", path, devices=2, hosts=2)
+    first, second = start("train", *" ".join(FLAGS).split(), "--out", path, devices=2, processes=2)
     while not (path / "metrics.csv").exists():
         assert first.poll() is None
         time.sleep(0.05)
@@ -77,20 +83,51 @@ def test_one_of_two_is_killed_and_both_resume(whole, tmp_path):
         process.communicate(timeout=300)
     assert first.returncode != 0
     assert 0 < len(read_metrics(path / "metrics.csv")) < 5
-    finish(start("resume", path, devices=2, hosts=2))
+    finish(start("resume", path, devices=2, processes=2))
     oracles.assert_same_run(RunFolder.open(path), whole)
 
 
+@cluster
 def test_a_run_goes_on_with_other_devices(whole, tmp_path):
     folder = oracles.copy_run(whole, tmp_path / "run", upto=1200)
     finish(start("resume", folder.path, devices=1))
     assert [row["env_steps"] for row in read_metrics(folder.metrics)][-1] == 2000
 
 
+@cluster
 def test_a_refusal_of_the_first_is_that_of_all(whole):
     first, second = start(
-        "train", *" ".join(FLAGS).split(), "--out", whole.path, devices=2, hosts=2
+        "train", *" ".join(FLAGS).split(), "--out", whole.path, devices=2, processes=2
     )
     assert "exists already; choose another --out" in first.communicate(timeout=100)[1]
     assert "the first process of this run was refused" in second.communicate(timeout=100)[1]
     assert (first.returncode, second.returncode) == (2, 2)
+
+
+@cluster
+def test_a_host_without_a_device_of_the_run_is_refused(tmp_path):
+    """Both say so, nothing is written, and neither waits for the other."""
+    flags = ["--env", "pendulum", "--preset", "smoke", "--shards", "2", "--out"]
+    for process in start("train", *flags, tmp_path / "run", devices=2, processes=2):
+        err = process.communicate(timeout=100)[1]
+        assert "takes 2 of 4 devices, and 1 of 2 hosts have one of them; choose --shards 4" in err
+        assert process.returncode == 2 and "Traceback" not in err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("env", "remedy"), [("pendulum", "--shards 1, or a multiple"), ("hopper", "--hosts 1: hopper")]
+)
+def test_a_run_without_a_device_on_every_host_makes_no_folder(env, remedy, tmp_path, monkeypatch):
+    monkeypatch.setattr(jax, "process_count", lambda: 2)
+    with pytest.raises(ValueError, match=f"1 of 2 hosts have one of them; choose {remedy}"):
+        begin(Config(env=env, steps=1_000), tmp_path / "run")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("address", ["localhost", "localhost:", ":1234", "localhost:http"])
+def test_an_address_without_a_port_is_refused(address):
+    with pytest.raises(
+        ValueError, match=f"--coordinator must be HOST:PORT or slurm, got '{address}'"
+    ):
+        hosts.join(address, 1, 0)

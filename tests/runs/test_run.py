@@ -46,8 +46,11 @@ def test_metrics_have_a_row_an_evaluation(finished_run):
 def test_the_folder_names_what_trained_the_run(finished_run):
     record = json.loads((finished_run.path / "config.json").read_text())
     host = record["history"][-1]["host"]
-    assert set(host) == {"processor", "instructions", "commit", "threads", "engine", "precision"}
-    assert host["engine"] == "jax" and host["threads"] == os.environ["NPROC"]
+    assert set(host) == {
+        "processor", "instructions", "commit", "threads", "engine", "devices", "precision",
+    }  # fmt: skip
+    assert (host["engine"], host["devices"]) == ("jax", "1")
+    assert host["threads"] == os.environ["NPROC"]
     assert host["instructions"].startswith(platform.machine())
 
 
@@ -193,10 +196,11 @@ def test_another_machine_is_said(finished_run, tmp_path, caplog):
     assert "bits can differ" not in caplog.text
     record = json.loads((folder.path / "config.json").read_text())
     record["history"][-1]["packages"]["jax"] = "0.1"
-    record["history"][-1]["host"] = {"processor": "abacus"}
+    record["history"][-1]["host"] = {"processor": "abacus", "devices": "4"}
     write_json(folder.path / "config.json", record)
     take_up(folder.path)
     assert re.search(r"run was trained by jax 0\.1, here .*; processor abacus, here ", caplog.text)
+    assert "devices 4, here 1: bits can differ" in caplog.text
 
 
 @pytest.mark.slow
