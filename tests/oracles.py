@@ -196,7 +196,8 @@ def copy_run(run: RunFolder, path: pathlib.Path, upto: int | None = None) -> Run
 def newest_state(folder: RunFolder) -> TrainState:
     """The state of its newest checkpoint."""
     shapes = trainer.make_trainer(folder.config).shapes
-    return Checkpoints(folder.checkpoints, config=folder.digest).load(shapes)[0]
+    checkpoints = Checkpoints(folder.checkpoints, config=folder.digest)
+    return jax.device_put(checkpoints.load(shapes)[0])
 
 
 def metrics_without_clock(folder: RunFolder) -> list[dict[str, str]]:

@@ -189,7 +189,7 @@ class Checkpoints:
         LOG.warning("%s; it is set aside as %s", error, place.name)
 
     def load(self, shapes: Any, step: int | None = None) -> tuple[Any, dict[str, Any]]:
-        """A state, and the host's numbers.
+        """A state, in NumPy's arrays but for random keys, and the host's numbers.
 
         Args:
           shapes: the state's shapes, as `jax.eval_shape` gives them.
@@ -222,7 +222,7 @@ class Checkpoints:
                 continue
             for damage in damages:
                 LOG.warning("%s; the one of step %s is used", damage, f"{step:,}")
-            return agent, step
+            return jax.device_put(agent), step
         raise damages[0] if damages else self._none()
 
     def _none(self) -> ValueError:
@@ -337,7 +337,7 @@ def _stored(shape: jax.ShapeDtypeStruct) -> jax.ShapeDtypeStruct:
     return jax.eval_shape(jax.random.key_data, shape) if _is_key(shape.dtype) else shape
 
 
-def _as_leaf(stored: np.ndarray | None, shape: jax.ShapeDtypeStruct) -> jax.Array:
+def _as_leaf(stored: np.ndarray | None, shape: jax.ShapeDtypeStruct) -> jax.Array | np.ndarray:
     """The leaf of that shape: of the replay, slots that were not filled are zeros."""
     if _is_key(shape.dtype):
         return jax.random.wrap_key_data(jnp.asarray(stored))
@@ -346,4 +346,4 @@ def _as_leaf(stored: np.ndarray | None, shape: jax.ShapeDtypeStruct) -> jax.Arra
         if stored is not None:
             whole[tuple(map(slice, stored.shape))] = stored
         stored = whole
-    return jnp.asarray(stored, shape.dtype)
+    return np.asarray(stored, shape.dtype)

@@ -125,9 +125,9 @@ def gathered(tree: Any) -> Any:
 
 
 def placed(state: TrainState, layout: Layout) -> TrainState:
-    """The state where the program wants it."""
+    """The state where the program wants it; a device is given its own part alone."""
     if layout.devices == 1:
-        return state
+        return jax.device_put(state)
     if jax.process_count() == 1:
         return jax.device_put(state, layout.shardings(state))
     return jax.tree.map(_put, state, layout.shardings(state))
@@ -142,7 +142,7 @@ def _put(x: Any, sharding: NamedSharding) -> Any:
     """An array, which every process has or which is among all of them, where it is wanted."""
     if jax.numpy.issubdtype(x.dtype, jax.dtypes.prng_key):
         return jax.random.wrap_key_data(_put(jax.random.key_data(x), sharding))
-    if x.is_fully_addressable:
+    if isinstance(x, np.ndarray) or x.is_fully_addressable:
         whole = np.asarray(x)
         return jax.make_array_from_callback(x.shape, sharding, lambda index: whole[index])
     return jax.jit(lambda y: y, out_shardings=sharding)(x)

@@ -1,7 +1,6 @@
 """The host's side of a run: between chunks it logs, evaluates, checkpoints and obeys."""
 
 import contextlib
-import functools
 import logging
 import math
 import pathlib
@@ -106,10 +105,9 @@ class Run:
             ):
                 return  # nothing is left to do with the state
             try:
-                states = [self._loaded(k, step) for k in range(len(self.members))]
+                self._state = self.program.join((k, self._loaded(k, step)) for k in working)
             except DamagedError:  # it has been set aside
                 continue
-            self._state = self.program.join(states)
             return
         self.turn = 0
 
@@ -118,18 +116,12 @@ class Run:
         return max(set.intersection(*common), default=None)
 
     def _loaded(self, k: int, step: int) -> Any:
-        """The state of a member alone; an idle one's is of no use, and may be any."""
-        if k in self._idle:
-            return self.program.plain_state(self._fresh, k)
+        """The state of a member alone."""
         state = self.members[k].load(self.program.plain_shapes(k), step)
         if self.trainer.env.saved:
             return state
         LOG.warning("%s: the episodes under way begin anew", self.members[k].folder.path)
         return self.trainer.restarted(state)
-
-    @functools.cached_property
-    def _fresh(self) -> Any:
-        return self.program.init()
 
     def go(
         self,

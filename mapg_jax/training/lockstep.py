@@ -6,7 +6,7 @@ run alone is the plain program, without an axis in front and without padding.
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import jax
@@ -116,15 +116,44 @@ class Lockstep:
         """Shapes of the k-th run's state alone."""
         return self._plain_shapes[self.configs[k].heads]
 
-    def join(self, states: Sequence[Any]) -> Any:
-        """The state of all runs from those of each alone; heads that are padding are zeros."""
-        if self.alone:
-            return states[0]
+    def join(self, states: Iterable[tuple[int, Any]]) -> Any:
+        """The state of all runs from those of some alone; heads that are padding are zeros.
 
+        Args:
+          states: by the number of the run, at least one. They are taken one at a time, so that
+            memory holds all of them once; a run without one gets that of the first.
+        """
+        joined = None
+        for k, state in states:
+            if self.alone:
+                return state
+            joined = self._repeated(state) if joined is None else self._with(joined, state, k)
+        return joined
+
+    @functools.cached_property
+    def _repeated(self):
+        """(state of a run alone) → it, as that of all."""
+
+        def repeat(state):
+            copies = len(self.configs)
+            return jax.tree.map(lambda x: jnp.broadcast_to(x, (copies, *x.shape)), self._pad(state))
+
+        return jax.jit(repeat)
+
+    @functools.cached_property
+    def _with(self):
+        """(joined, state of a run alone, k) → the same memory, with that of the k-th run."""
+
+        def put(joined, state, k):
+            return jax.tree.map(lambda x, y: x.at[k].set(y), joined, self._pad(state))
+
+        return jax.jit(put, donate_argnums=0)
+
+    def _pad(self, state: Any) -> Any:
         def pad(leaf, shape):
             return _as_dtype(_padded(leaf, shape.shape), shape.dtype)
 
-        return _stack([jax.tree.map(pad, state, self.trainer.shapes) for state in states])
+        return jax.tree.map(pad, state, self.trainer.shapes)
 
     @functools.cached_property
     def _seeds(self) -> jax.Array:

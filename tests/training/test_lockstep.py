@@ -3,6 +3,7 @@
 import dataclasses
 import logging
 import typing
+import weakref
 from typing import Literal
 
 import jax
@@ -108,6 +109,31 @@ def test_an_initial_state_is_that_of_the_run_alone_to_the_last_bit(program):
     for k in (0, 1, 3):
         alone = make_trainer(CELLS[k]).jitted_init(CELLS[k].seed)
         oracles.assert_equal(program.plain_state(state, k), alone)
+
+
+def test_states_are_joined_one_at_a_time(program):
+    """Each is what it was alone, padded with zeros; a run without one has the first's."""
+    alone = [make_trainer(cell).jitted_init(cell.seed) for cell in CELLS]
+    held = []
+
+    def as_read(x):
+        return x if jax.numpy.issubdtype(x.dtype, jax.dtypes.prng_key) else np.array(x)
+
+    def loaded():
+        for k in (0, 2, 3):
+            state = jax.tree.map(as_read, alone[k])
+            held.append(weakref.ref(state.replay.data.observations))
+            assert sum(ref() is not None for ref in held) <= 2  # this one, and that before it
+            yield k, state
+            del state
+
+    joined = program.join(loaded())
+    for k in (0, 2, 3):
+        oracles.assert_equal(program.plain_state(joined, k), alone[k])
+    padded, first = program.of_run(joined, 0), program.plain_state(joined, 0)
+    for x, y in zip(jax.tree.leaves(padded.agent), jax.tree.leaves(first.agent), strict=True):
+        assert np.count_nonzero(x) == np.count_nonzero(y)
+    oracles.assert_equal(program.of_run(joined, 1), padded)
 
 
 def test_resuming_equals_not_stopping(whole, program, tmp_path):
