@@ -7,6 +7,7 @@ from mapg_jax.training.config import Config, RolloutConfig
 from mapg_jax.training.lockstep import Lockstep
 from mapg_jax.training.replay import capacity
 from mapg_jax.training.state import tree_bytes
+from mapg_jax.training.trainer import Trainer
 
 
 def prepare(*configs: Config, devices: int | None = 1) -> Lockstep:
@@ -21,26 +22,42 @@ def prepare(*configs: Config, devices: int | None = 1) -> Lockstep:
         shards cannot be on so many devices.
     """
     program = Lockstep(configs, devices)
-    needed, available = with_copy(program.bytes) + program.turn_bytes, available_bytes()
+    needed, available = needed_bytes(program), available_bytes()
     if needed > available:
         together = f"{len(configs)} runs in lockstep need" if len(configs) > 1 else "the run needs"
-        what, remedy = "", "fewer --environments"
-        replay = program.trainer.shapes.replay
-        if 2 * program.turn_bytes > needed:
-            what, remedy = _of_a_turn(program.trainer.config)
-        elif replay is not None and 2 * tree_bytes(replay) > program.trainer.bytes:
-            slots = capacity(replay)
-            what = f", of which the replay of {slots:,} transitions is the most,"
-            remedy = "a smaller --replay-size"
-        elif 2 * tree_bytes(program.trainer.shapes.agent) > program.trainer.bytes:
-            heads = program.trainer.config.heads
-            what = f", of which the networks with {heads:,} heads are the most,"
-            remedy = "fewer --heads, or narrower layers (--hidden)"
+        several = program.trainer.layout.devices > 1 and jax.default_backend() != "cpu"
+        where = " on each device" if several else ""
+        what, remedy = _what_takes_the_most(program.trainer)
         raise ValueError(
-            f"{together} {needed / 1e9:.1f} GB{what} but {available / 1e9:.1f} GB are available; "
-            f"choose {remedy}"
+            f"{together} {needed / 1e9:.1f} GB{where}{what} but {available / 1e9:.1f} GB are "
+            f"available; choose {remedy}"
         )
     return program
+
+
+def needed_bytes(program: Lockstep) -> int:
+    """Memory that a program needs of each accelerator, or of this machine, at least."""
+    each = program.bytes + program.turn_bytes
+    if jax.default_backend() != "cpu":
+        return each
+    layout = program.trainer.layout
+    here = sum(d.process_index == jax.process_index() for d in layout.mesh.devices.flat)
+    checkpoint = len(program.configs) * tree_bytes(program.trainer.shapes)
+    return here * each + checkpoint
+
+
+def _what_takes_the_most(trainer: Trainer) -> tuple[str, str]:
+    """Of a device's memory, and what would need less."""
+    replay = trainer.shapes.replay
+    if trainer.turn_bytes > trainer.bytes:
+        return _of_a_turn(trainer.config)
+    if replay is not None and 2 * tree_bytes(replay) // trainer.layout.devices > trainer.bytes:
+        what = f", of which the replay of {capacity(replay):,} transitions is the most,"
+        return what, "a smaller --replay-size"
+    if 2 * tree_bytes(trainer.shapes.agent) > trainer.bytes:
+        what = f", of which the networks with {trainer.config.heads:,} heads are the most,"
+        return what, "fewer --heads, or narrower layers (--hidden)"
+    return "", "fewer --environments"
 
 
 def _of_a_turn(config: Config) -> tuple[str, str]:
@@ -63,7 +80,7 @@ def with_copy(state: int) -> int:
 
 def available_bytes() -> int:
     """Memory free for the training state: of the accelerator, or of this machine."""
-    device = jax.devices()[0]
+    device = jax.local_devices()[0]
     if device.platform == "cpu":
         return psutil.virtual_memory().available
     stats = device.memory_stats() or {}

@@ -9,7 +9,7 @@ import jax
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
 from mapg_jax.algorithms.shards import DEVICE, SHARD
-from mapg_jax.training.state import TrainState
+from mapg_jax.training.state import TrainState, tree_bytes
 
 _BY_SHARD = ("explorer", "replay", "env", "running_return")
 _AXES: Any = {field.name: None for field in dataclasses.fields(TrainState)}
@@ -71,6 +71,11 @@ class Layout:
             return mapped(state, *numbers)
 
         return on_a_device if self.devices == 1 else on_all
+
+    def bytes(self, state: TrainState) -> int:
+        """Memory of each device for a state, or its shapes: its own shards, and what all share."""
+        of_shards = tree_bytes([getattr(state, name) for name in _BY_SHARD])
+        return tree_bytes(state) - of_shards + of_shards // self.devices
 
     def shardings(self, state: TrainState) -> Any:
         """Of each leaf."""

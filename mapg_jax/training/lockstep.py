@@ -53,12 +53,12 @@ class Lockstep:
 
     @property
     def bytes(self) -> int:
-        """Memory of the state."""
+        """Memory of each device for the state."""
         return self.trainer.bytes * len(self.configs)
 
     @property
     def turn_bytes(self) -> int:
-        """Memory that a turn takes beside it, at least."""
+        """Memory of each device that a turn takes beside it, at least."""
         return self.trainer.turn_bytes * len(self.configs)
 
     def init(self) -> Any:

@@ -16,7 +16,7 @@ from mapg_jax.training import replay
 from mapg_jax.training.agent import Agent, AgentState, hyperparameters, make_agent
 from mapg_jax.training.config import Config
 from mapg_jax.training.layout import Layout, most_devices
-from mapg_jax.training.state import Totals, TrainState, tree_bytes
+from mapg_jax.training.state import Totals, TrainState
 from mapg_jax.training.turns import TURNS, Turn
 
 
@@ -148,13 +148,13 @@ class Trainer:
 
     @property
     def bytes(self) -> int:
-        """Memory the state will take, before any of it is allocated."""
-        return tree_bytes(self.shapes)
+        """Memory of each device that the state will take, before any of it is allocated."""
+        return self.layout.bytes(self.shapes)
 
     @property
     def turn_bytes(self) -> int:
-        """Memory that a turn takes beside the state, at least."""
-        return self.turn.bytes(self.shapes)
+        """Memory of each device that a turn takes beside the state, at least."""
+        return self.turn.bytes(self.shapes) // self.layout.devices
 
 
 def make_trainer(config: Config, devices: int | None = 1) -> Trainer:

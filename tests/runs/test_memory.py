@@ -1,11 +1,16 @@
 """What does not fit the memory is refused before anything is allocated."""
 
+import dataclasses
+
 import jax
 import pytest
 
 from mapg_jax.runs import memory
 from mapg_jax.runs.train import begin
 from mapg_jax.training.config import Config
+from mapg_jax.training.layout import Layout
+from mapg_jax.training.lockstep import Lockstep
+from mapg_jax.training.state import tree_bytes
 
 
 def test_what_does_not_fit_is_refused_before_anything_is_allocated(tmp_path, monkeypatch):
@@ -38,6 +43,20 @@ def test_what_takes_the_most_is_named(monkeypatch):
     ):
         with pytest.raises(ValueError, match=message):
             memory.prepare(Config(**changes))
+
+
+def test_an_accelerator_needs_its_own_shards_and_what_all_share(monkeypatch):
+    config = Config(env="pendulum", shards=8, environments=8, replay_size=800_000, batch_size=64)
+    program = Lockstep([config])
+    one, shapes = program.trainer, program.trainer.shapes
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(jax, "device_count", lambda: 8)
+    shared = tree_bytes(shapes.replace(explorer=(), replay=(), env=(), running_return=()))
+    apart = memory.needed_bytes(program) - shared
+    assert apart > 10 * shared
+    program.trainer = dataclasses.replace(one, layout=Layout(8, 8))
+    vars(program.trainer)["shapes"] = shapes  # which need no devices
+    assert memory.needed_bytes(program) == shared + apart // 8
 
 
 def test_available_memory_is_this_machines():
