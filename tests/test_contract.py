@@ -1,10 +1,14 @@
 """Every registered algorithm keeps the contract, and learns what tiny tasks are worth."""
 
+import dataclasses
+
+import jax
 import oracles
 import pytest
 
 from mapg_jax.algorithms import registry
 from mapg_jax.runs import contract
+from mapg_jax.runs.train import begin
 
 LEARNS = {
     "mapg": {
@@ -48,7 +52,9 @@ each = pytest.mark.parametrize(
 
 
 @pytest.mark.parametrize("name", LEARNS)
-@pytest.mark.parametrize("check", [contract.check_shapes, contract.check_lowering])
+@pytest.mark.parametrize(
+    "check", [contract.check_shapes, contract.check_lowering, contract.check_shards]
+)
 def test_an_algorithm_keeps_the_contract(name, check):
     check(contract.tiny(name))
 
@@ -73,8 +79,8 @@ def test_an_algorithm_learns_known_values(name):
     contract.check_values(config, oracles.TwoSteps(), 10, 400, {0.0: 0.5, 1.0: 1.0})
 
 
-def test_what_breaks_the_contract_is_named(monkeypatch):
-    """An update that changes a type, and an action that lacks a row."""
+def test_what_breaks_the_contract_is_named(monkeypatch, tmp_path):
+    """An update that changes a type, one that differs by shard, and an action that lacks a row."""
     config, mapg = contract.tiny("mapg"), registry.find("mapg")
     update = mapg.update
 
@@ -85,6 +91,19 @@ def test_what_breaks_the_contract_is_named(monkeypatch):
     monkeypatch.setattr(mapg, "update", retyped)
     with pytest.raises(TypeError, match="updates"):
         contract.check_shapes(config)
+
+    def of_its_shard(self, learner, hyper, batch, key):
+        learner, metrics = update(self, learner, hyper, batch, key)
+        return jax.tree.map(
+            lambda x: x + (0 * batch.reward.mean()).astype(x.dtype), learner
+        ), metrics
+
+    monkeypatch.setattr(mapg, "update", of_its_shard)
+    with pytest.raises(AssertionError, match=r"mapg does not learn in 2 shards; choose --shards 1"):
+        contract.check_shards(config)
+    with pytest.raises(ValueError, match="mapg does not learn in 2 shards"):
+        begin(dataclasses.replace(config, shards=2), tmp_path / "run")
+    assert not list(tmp_path.iterdir())
     monkeypatch.setattr(mapg, "selects", ("uniform", "none such"))
     monkeypatch.setattr(mapg, "update", update)
     monkeypatch.setattr(mapg, "act", lambda self, *x, select: x[2][..., :2])

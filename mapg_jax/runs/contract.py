@@ -60,6 +60,7 @@ def check_algorithm(name: str, **options: Any) -> None:
     check_resuming(config)
     check_lockstep(config)
     check_lowering(config)
+    check_shards(config)
 
 
 def check_shapes(config: Config) -> None:
@@ -126,6 +127,15 @@ def check_lowering(config: Config) -> None:
     traced = trainer.jitted_run.trace(trainer.shapes, jax.ShapeDtypeStruct((), jnp.int32))
     for platform in ("cuda", "tpu"):
         traced.lower(lowering_platforms=(platform,))
+
+
+def check_shards(config: Config) -> None:
+    """A run of two shards learns one and the same in both; it is traced, not compiled."""
+    trainer = make_trainer(dataclasses.replace(config, shards=2))
+    try:
+        trainer.refuse_unshared()
+    except ValueError as error:
+        raise AssertionError(str(error)) from error
 
 
 def check_values(

@@ -109,17 +109,22 @@ def wait(where: str) -> None:
 
 
 def gathered(tree: Any) -> Any:
-    """A tree whose arrays every process has whole."""
+    """A tree whose arrays the first process has whole.
+
+    Every process and device has each array for a moment: what is gathered among processes is.
+    """
     if jax.process_count() == 1:
         return tree
     from jax.experimental import multihost_utils
 
     def whole(x):
         if jax.numpy.issubdtype(x.dtype, jax.dtypes.prng_key):
-            return jax.random.wrap_key_data(whole(jax.random.key_data(x)))
+            bits = whole(jax.random.key_data(x))
+            return None if bits is None else jax.random.wrap_key_data(bits)
         if x.is_fully_addressable or x.is_fully_replicated:
             return np.asarray(x)
-        return multihost_utils.process_allgather(x, tiled=True)
+        found = multihost_utils.process_allgather(x, tiled=True)
+        return found if is_first() else None
 
     return jax.tree.map(whole, tree)
 

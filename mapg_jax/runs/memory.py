@@ -3,6 +3,7 @@
 import jax
 import psutil
 
+from mapg_jax.runs.host import precise
 from mapg_jax.training.config import Config, RolloutConfig
 from mapg_jax.training.lockstep import Lockstep
 from mapg_jax.training.replay import capacity
@@ -18,10 +19,12 @@ def prepare(*configs: Config, devices: int | None = 1) -> Lockstep:
       devices: for the shards of a run; None takes as many as there are that serve.
 
     Raises:
-      ValueError: if the environment cannot be made, the buffers do not fit the memory, or the
-        shards cannot be on so many devices.
+      ValueError: if the environment cannot be made, the buffers do not fit the memory, the shards
+        cannot be on so many devices, or the algorithm averages nothing over them.
     """
     program = Lockstep(configs, devices)
+    with precise():  # as it is compiled: it is not traced again
+        program.trainer.refuse_unshared()
     needed, available = needed_bytes(program), available_bytes()
     if needed > available:
         together = f"{len(configs)} runs in lockstep need" if len(configs) > 1 else "the run needs"

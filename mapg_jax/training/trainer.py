@@ -133,6 +133,23 @@ class Trainer:
 
         return self.layout.over_shards(of_shard)(state, turns)
 
+    def refuse_unshared(self) -> None:
+        """Traces a turn, which costs seconds less than to compile it.
+
+        Raises:
+          ValueError: if what all shards share would not come out equal in all of them.
+        """
+        if self.layout.shards == 1:
+            return
+        try:
+            self.jitted_run.eval_shape(self.shapes, 0)
+        except ValueError as error:
+            raise ValueError(
+                f"{self.config.algorithm} does not learn in {self.layout.shards} shards; choose "
+                "--shards 1, or average by shards.mean what moves the learner, as "
+                f"docs/extending.md does ({str(error).splitlines()[0]})"
+            ) from error
+
     @functools.cached_property
     def jitted_init(self):
         return jax.jit(self.init)
