@@ -149,7 +149,7 @@ class _Pool:
         while self._waiting and self._free:
             group, share = self._waiting.pop(0), self._free.pop(0)
             begun.append(Worker(group, share, self._keep_replay, self._launcher))
-        self._workers += begun
+            self._workers.append(begun[-1])  # at once: the next may be refused, and all are stopped
         return begun
 
     def ended(self) -> list[Worker]:

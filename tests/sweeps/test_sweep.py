@@ -4,6 +4,7 @@ import dataclasses
 import json
 import pathlib
 from typing import ClassVar
+from unittest.mock import Mock
 
 import oracles
 import pytest
@@ -13,7 +14,7 @@ from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.train import take_up
 from mapg_jax.sweeps import sweep, table
 from mapg_jax.sweeps.groups import Job, at_work
-from mapg_jax.sweeps.launchers import Local
+from mapg_jax.sweeps.launchers import Launcher, Local, Share
 from mapg_jax.sweeps.pool import Worker
 
 RUN = dataclasses.replace(oracles.RUN, steps=400, checkpoint_seconds=300.0, checkpoints_kept=2)
@@ -137,3 +138,30 @@ def test_the_last_run_of_a_group_is_tried_again_in_its_program_first(tmp_path, m
     )
     sweep.carry_out(sweep.Schedule([jobs], 1, False, Local()))
     assert CrashingTogether.started == [(["bad"], 3), (["bad"], 3), (["bad"], 1)]
+
+
+class Refusing(Launcher):
+    """Takes two workers, as a scheduler with a limit does; none of them ends unless it is asked."""
+
+    here = True
+
+    def __init__(self):
+        self.taken: list[Mock] = []
+
+    def shares(self, workers):
+        return [Share()] * workers
+
+    def start(self, command, log, share):
+        if len(self.taken) == 2:
+            raise OSError("no more than two")
+        self.taken.append(Mock(running=lambda: True))
+        return self.taken[-1]
+
+
+def test_a_worker_that_is_refused_leaves_none_behind(tmp_path):
+    limited = Refusing()
+    groups = [(Job(dataclasses.replace(RUN, seed=k), tmp_path / f"s{k}"),) for k in range(4)]
+    with pytest.raises(OSError, match="no more than two"):
+        sweep.carry_out(sweep.Schedule(groups, 4, False, limited), progress=False)
+    for worker in limited.taken:
+        assert [name for name, *_ in worker.method_calls] == ["stop", "wait"]
