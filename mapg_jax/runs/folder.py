@@ -150,9 +150,10 @@ class RunFolder:
         except (AttributeError, OSError, TypeError, ValueError):
             return -1
 
-    def lock(self) -> locking.Lock:
+    def lock(self, *, wait: bool = False) -> locking.Lock:
         """Held while the run is trained; see `locking.lock`."""
-        return locking.lock(self.path / ".lock", f"another process trains {self.path}")
+        refusal = f"another process trains {self.path}"
+        return locking.lock(self.path / ".lock", refusal, wait=wait)
 
 
 def this_process() -> dict[str, Any]:

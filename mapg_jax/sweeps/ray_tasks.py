@@ -2,13 +2,14 @@
 
 import os
 import pathlib
+import time
 from collections.abc import Sequence
 
 import ray  # pyright: ignore[reportMissingImports]
 
 from mapg_jax.sweeps import launchers
 from mapg_jax.sweeps.launchers import Share
-from mapg_jax.sweeps.task import Task, stop_file
+from mapg_jax.sweeps.task import GRACE_SECONDS, Task, dismiss
 
 ADDRESS = "address"
 """The option that says which cluster: by default the one that Ray finds, or this machine."""
@@ -36,8 +37,8 @@ class Launcher:
         return [Share()] * workers
 
     def start(self, command: Sequence[str], log: pathlib.Path, share: Share) -> "RayTask":
-        stop_file(log).unlink(missing_ok=True)
-        return RayTask(self._remote.remote(Task(command, log, launchers.environment())), log)
+        task = Task(command, log, launchers.environment())
+        return RayTask(self._remote.remote(task), task)
 
 
 def _carry(task: Task) -> int:
@@ -47,23 +48,27 @@ def _carry(task: Task) -> int:
 class RayTask:
     """A task, perhaps waiting for a node."""
 
-    def __init__(self, reference, log: pathlib.Path):
-        self._reference, self._log = reference, log
+    def __init__(self, reference, task: Task):
+        self._reference, self._task = reference, task
+        self._asked: float | None = None
+        """The time at which it was to end, in seconds."""
 
     def running(self) -> bool:
         ready, _ = ray.wait([self._reference], timeout=0)
         return not ready
 
     def stop(self) -> None:
-        stop_file(self._log).touch()
-        ready, _ = ray.wait([self._reference], timeout=30)
-        if not ready:  # it never began, or does not see the file
-            ray.cancel(self._reference, force=True)
+        dismiss(self._task.log)
+        self._asked = self._asked or time.monotonic()
 
     def wait(self) -> int:
+        """One that is asked to end and has not begun for want of a node never begins."""
+        if self._asked:  # all are asked before one is waited for: together they have the time
+            left = max(0.0, self._asked + GRACE_SECONDS - time.monotonic())
+            ready, _ = ray.wait([self._reference], timeout=left)
+            if not ready and not self._task.begun():
+                ray.cancel(self._reference)
         try:
             return int(ray.get(self._reference))
         except ray.exceptions.RayError:
             return 1
-        finally:
-            stop_file(self._log).unlink(missing_ok=True)

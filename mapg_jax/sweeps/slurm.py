@@ -9,7 +9,7 @@ from submitit.core.utils import FailedJobError, UncompletedJobError
 
 from mapg_jax.sweeps import launchers
 from mapg_jax.sweeps.launchers import Share
-from mapg_jax.sweeps.task import Task, stop_file
+from mapg_jax.sweeps.task import Task, dismiss
 
 CLUSTER = "cluster"
 """The option that says whose jobs: slurm, or local for processes of this machine."""
@@ -34,7 +34,6 @@ class Launcher:
         return [Share()] * workers
 
     def start(self, command: Sequence[str], log: pathlib.Path, share: Share) -> "Job":
-        stop_file(log).unlink(missing_ok=True)
         executor = self._executor(log.parent.parent / "slurm")  # a run folder holds no links
         try:
             job = executor.submit(Task(command, log, launchers.environment()))
@@ -73,7 +72,7 @@ class Job:
         return not self._job.done(force_check=False)
 
     def stop(self) -> None:
-        stop_file(self._log).touch()
+        dismiss(self._log)
         if self._job.state in ("PENDING", "UNKNOWN"):
             self._job.cancel()
 
@@ -82,5 +81,3 @@ class Job:
             return int(self._job.result())
         except (FailedJobError, UncompletedJobError):
             return 1
-        finally:
-            stop_file(self._log).unlink(missing_ok=True)

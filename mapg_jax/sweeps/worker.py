@@ -13,6 +13,7 @@ from collections.abc import Collection, Sequence
 
 from mapg_jax.runs.finishing import finish
 from mapg_jax.runs.folder import RunFolder
+from mapg_jax.runs.locking import Lock
 from mapg_jax.runs.member import DivergedError
 from mapg_jax.runs.memory import prepare
 from mapg_jax.runs.run import Run
@@ -33,7 +34,7 @@ def work(folders: Sequence[RunFolder], keep_replay: bool, idle: Collection[int] 
       keep_replay: whether what finishes can be trained further.
       idle: the numbers of those that only keep their places in the program.
     """
-    locks = [folder.lock() for k, folder in enumerate(folders) if k not in idle]
+    locks = [_lock(folder) for k, folder in enumerate(folders) if k not in idle]
     run = Run(prepare(*(folder.config for folder in folders)), folders, locks, idle)
     run.restore()
     if not run.finished:
@@ -43,8 +44,18 @@ def work(folders: Sequence[RunFolder], keep_replay: bool, idle: Collection[int] 
     for member in (member for k, member in enumerate(run.members) if k not in idle):
         if member.failure is None:
             finish(member.folder, keep_replay)
+            failure_file(member.folder.path).unlink(missing_ok=True)  # of an earlier process
         else:
             failure_file(member.folder.path).write_text(f"{member.failure}\n")
+
+
+def _lock(folder: RunFolder) -> Lock:
+    """Of a run; the worker of a sweep that was killed may still be about to save it."""
+    try:
+        return folder.lock()
+    except BlockingIOError as error:
+        print(f"{error}, and is waited for", flush=True)
+        return folder.lock(wait=True)
 
 
 def main() -> None:

@@ -17,6 +17,8 @@ import pytest
 
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.sweeps import launchers, sweep
+from mapg_jax.sweeps import task as task_module
+from mapg_jax.sweeps import worker as worker_module
 from mapg_jax.sweeps.launchers import Local, launcher
 from mapg_jax.sweeps.pool import Worker
 from mapg_jax.sweeps.task import Task
@@ -31,6 +33,24 @@ def carry_out(launched_by, root: pathlib.Path, run=RUN, seeds=(0, 1)) -> list[Ru
     schedule = sweep.make_schedule(runs, group="one", keep_replay=True, launcher=launched_by)
     assert sweep.carry_out(schedule, progress=False) == []
     return [RunFolder(path, config) for config, path in runs]
+
+
+UNTIL_ASKED = [sys.executable, "-c", "import sys; sys.stdin.read(); print('saved')"]
+
+
+def under_way(folder: pathlib.Path) -> tuple[Task, threading.Thread]:
+    """A task whose worker waits for its input to end."""
+    task = Task(UNTIL_ASKED, folder / "worker.log", {})
+    thread = threading.Thread(target=task)
+    thread.start()
+    while task._process is None:
+        time.sleep(0.01)
+    return task, thread
+
+
+def lines(folder: pathlib.Path) -> list[str]:
+    """Of the log: where a task was started, and what its worker says."""
+    return (folder / "worker.log").read_text().splitlines()
 
 
 def assert_as_here(found: list[RunFolder], root: pathlib.Path) -> None:
@@ -106,16 +126,46 @@ def test_a_job_that_is_asked_to_end_saves(tmp_path):
 
 def test_a_job_that_runs_out_of_time_is_queued_again_once_it_has_saved(tmp_path):
     """What submitit calls then, beside the worker that waits for its input to end."""
-    program = "import sys; sys.stdin.read(); print('saved')"
-    task = Task([sys.executable, "-c", program], tmp_path / "worker.log", {})
-    thread = threading.Thread(target=task)
-    thread.start()
-    while task._process is None:
-        time.sleep(0.01)
+    task, thread = under_way(tmp_path)
     again = task.checkpoint()
     thread.join()
-    assert (tmp_path / "worker.log").read_text() == "saved\n"
+    assert lines(tmp_path)[1:] == ["saved"]
     assert again.function.command == task.command
+    assert (again.function.name, again.function._process) == (task.name, None)
+
+
+def test_a_task_makes_room_for_that_of_a_later_sweep(tmp_path):
+    """Its sweep was killed outright, and could not ask it to end; nor another, in a queue."""
+    queued = Task(UNTIL_ASKED, tmp_path / "worker.log", {})
+    task, thread = under_way(tmp_path)
+    later = Task(UNTIL_ASKED, tmp_path / "worker.log", {})
+    thread.join()
+    assert queued() == -signal.SIGTERM
+    assert [each.begun() for each in (queued, task, later)] == [False, True, False]
+    assert lines(tmp_path)[1:] == ["saved"]
+
+
+@pytest.mark.parametrize("ends", ["os.kill(os.getpid(), 15)", "sys.exit(143)"])
+def test_a_worker_that_is_terminated_is_started_again(tmp_path, monkeypatch, ends):
+    """Whether it minded signals already, or was still about to import JAX."""
+    monkeypatch.setattr(task_module, "GRACE_SECONDS", 0.0)
+    mark = tmp_path / "mark"
+    program = f"import os, sys; os.path.exists({str(mark)!r}) or (open({str(mark)!r}, 'w'), {ends})"
+    assert Task([sys.executable, "-c", program], tmp_path / "worker.log", {})() == 0
+    assert mark.exists()
+
+
+def test_a_run_that_another_process_trains_is_waited_for(tmp_path, capsys):
+    folder = RunFolder.create(tmp_path / "run", RUN)
+    taken = []
+    waiting = threading.Thread(target=lambda: taken.append(worker_module._lock(folder)))
+    with folder.lock():
+        waiting.start()
+        waiting.join(0.2)
+        assert not taken
+    waiting.join()
+    taken[0].close()
+    assert capsys.readouterr().out == f"another process trains {folder.path}, and is waited for\n"
 
 
 @pytest.mark.cluster

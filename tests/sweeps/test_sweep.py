@@ -12,10 +12,11 @@ import pytest
 from mapg_jax.runs.finishing import is_finished
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.train import take_up
-from mapg_jax.sweeps import sweep, table
+from mapg_jax.sweeps import sweep, table, worker
 from mapg_jax.sweeps.groups import Job, at_work
 from mapg_jax.sweeps.launchers import Launcher, Local, Share
 from mapg_jax.sweeps.pool import Worker
+from mapg_jax.sweeps.worker import failure_file
 
 RUN = dataclasses.replace(oracles.RUN, steps=400, checkpoint_seconds=300.0, checkpoints_kept=2)
 
@@ -63,6 +64,15 @@ def test_what_is_finished_is_left_alone(swept):
     before = [files(path) for _, path in runs]
     assert sweep.run_all(runs) == []
     assert [files(path) for _, path in runs] == before
+
+
+def test_a_run_that_finishes_is_no_failure(swept, monkeypatch):
+    """As the worker has it that finds a run done, of which a process before it had despaired."""
+    _, (config, path) = swept[0]
+    failure_file(path).write_text("why\n")
+    monkeypatch.setattr(worker, "finish", lambda *_: None)
+    worker.work([RunFolder(path, config)], keep_replay=False)
+    assert not failure_file(path).exists()
 
 
 def test_a_folder_of_another_run_is_refused(swept):
@@ -160,8 +170,8 @@ class Refusing(Launcher):
 
 def test_a_worker_that_is_refused_leaves_none_behind(tmp_path):
     limited = Refusing()
-    groups = [(Job(dataclasses.replace(RUN, seed=k), tmp_path / f"s{k}"),) for k in range(4)]
+    cut = [(Job(dataclasses.replace(RUN, seed=k), tmp_path / f"s{k}"),) for k in range(4)]
     with pytest.raises(OSError, match="no more than two"):
-        sweep.carry_out(sweep.Schedule(groups, 4, False, limited), progress=False)
-    for worker in limited.taken:
-        assert [name for name, *_ in worker.method_calls] == ["stop", "wait"]
+        sweep.carry_out(sweep.Schedule(cut, 4, False, limited), progress=False)
+    for taken in limited.taken:
+        assert [name for name, *_ in taken.method_calls] == ["stop", "wait"]
