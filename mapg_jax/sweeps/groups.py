@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 import pathlib
 from collections.abc import Collection, Hashable, Sequence
 from typing import Literal, NamedTuple
@@ -63,23 +64,30 @@ def parts(group: Group) -> list[Group]:
     return [with_work_for(group, chosen) for chosen in alike.values()]
 
 
-def groups(jobs: Sequence[Job], grouping: Grouping = "auto") -> list[Group]:
+def groups(jobs: Sequence[Job], grouping: Grouping = "auto", abreast: int = 1) -> list[Group]:
     """Cuts runs into groups, in their order.
 
     `auto` is one run a program on a CPU, where lockstep gains nothing, and as many as half of the
-    memory holds on an accelerator.
+    memory holds on an accelerator, or fewer, so that there is one for each worker.
+
+    Args:
+      jobs: the runs.
+      grouping: how they are cut.
+      abreast: workers side by side.
 
     Raises:
       ValueError: if the grouping is none.
     """
-    if isinstance(grouping, int) and grouping < 1:
-        raise ValueError(f"group must be auto, one, all or at least 1, got {grouping}")
+    at_least_1 = type(grouping) is int and grouping >= 1
+    if not at_least_1 and grouping not in ("auto", "one", "all"):
+        raise ValueError(f"group must be auto, one, all or at least 1, got {grouping!r}")
+    most = math.ceil(len(jobs) / abreast)
     alike: dict[Hashable, list[Job]] = {}
     for job in jobs:
         alike.setdefault(program_key(job.config), []).append(job)
     cut = []
     for together in alike.values():
-        size = _size(together, grouping)
+        size = _size(together, grouping, most)
         cut += [tuple(together[i : i + size]) for i in range(0, len(together), size)]
     position = {job: i for i, job in enumerate(jobs)}
     return sorted(cut, key=lambda group: position[group[0]])
@@ -96,14 +104,12 @@ def workers_that_fit(cut: Sequence[Group], wanted: int | None = None) -> int:
     Raises:
       ValueError: if not even one fits, or not as many as wanted.
     """
-    if wanted is not None and wanted < 1:
-        raise ValueError(f"workers must be at least 1, got {wanted}")
     on_cpu = jax.default_backend() == "cpu"
-    accelerators = 1 if on_cpu else jax.local_device_count()  # alike, each with its memory
+    devices = accelerators()  # alike, each with its memory
     largest = max(map(group_bytes, cut), default=0)
     each = with_copy(largest) + (PROCESS_BYTES if on_cpu else 0)
-    fitting = accelerators * (available_bytes() // each) if each else 1
-    workers = min(wanted or (cpus() if on_cpu else accelerators), len(cut) or 1)
+    fitting = devices * (available_bytes() // each) if each else 1
+    workers = min(checked_workers(wanted) or (cpus() if on_cpu else devices), len(cut) or 1)
     if fitting < (workers if wanted else 1):
         raise ValueError(
             f"{wanted or 1} at a time, each of {each / 1e9:.1f} GB, do not fit the "
@@ -111,6 +117,22 @@ def workers_that_fit(cut: Sequence[Group], wanted: int | None = None) -> int:
             "smaller --group or a smaller --replay-size"
         )
     return min(workers, fitting)
+
+
+def checked_workers(wanted: int | None) -> int | None:
+    """So many workers; None, if that is open, stays None.
+
+    Raises:
+      ValueError: if it is no number of workers.
+    """
+    if wanted is not None and (type(wanted) is not int or wanted < 1):
+        raise ValueError(f"workers must be a whole number of at least 1, got {wanted!r}")
+    return wanted
+
+
+def accelerators() -> int:
+    """Of this machine; 1, if it has none but its processor."""
+    return 1 if jax.default_backend() == "cpu" else jax.local_device_count()
 
 
 def disk_bytes(cut: Sequence[Group], workers: int, keep_replay: bool) -> int:
@@ -133,11 +155,13 @@ def refuse_a_full_disk(cut: Sequence[Group], workers: int, keep_replay: bool) ->
         disk.refuse_a_full_disk(needed, out, taken, remedy)
 
 
-def _size(alike: Sequence[Job], grouping: Grouping) -> int:
+def _size(alike: Sequence[Job], grouping: Grouping, most: int) -> int:
+    """Runs a group; `auto` takes no more than `most`, so that no accelerator is idle."""
     if isinstance(grouping, int):
         return grouping
     if grouping == "auto" and jax.default_backend() != "cpu":
-        return max(1, int(SHARE * available_bytes()) // _run_bytes(_largest(alike)))
+        fitting = int(SHARE * available_bytes()) // _run_bytes(_largest(alike))
+        return max(1, min(fitting, most))
     return len(alike) if grouping == "all" else 1
 
 

@@ -9,10 +9,13 @@ import importlib
 import os
 import pathlib
 import subprocess
+import typing
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import jax
+
+from envs import values
 
 Name = Literal["local", "slurm", "ray"]
 Options = Mapping[str, Any]
@@ -26,7 +29,7 @@ class Share:
     """What a worker has of this machine; nothing where it runs elsewhere."""
 
     cores: tuple[int, ...] = ()
-    gpu: int | None = None
+    gpu: str | None = None
     """The only one that it sees; None leaves it those that this process sees."""
 
 
@@ -62,28 +65,31 @@ class Launcher(Protocol):
 
 
 def launcher(name: Name, options: Sequence[str] = ()) -> Launcher:
-    """The launcher of a name.
+    """The launcher of a name; to be made before JAX first looks for a device.
 
     Args:
       name: local, slurm or ray.
       options: name=value each: parameters of Slurm's jobs, or of Ray's tasks.
 
     Raises:
-      ValueError: if its package is missing, or an option is not written name=value.
+      ValueError: if there is none, its package is missing, or an option is not written name=value.
     """
-    values = {}
+    if name not in typing.get_args(Name):
+        raise ValueError(f"a launcher is local, slurm or ray, got {name!r}")
+    given = {}
     for text in options:
-        key, equals, value = text.partition("=")
+        key, equals, value = text.partition("=") if isinstance(text, str) else ("", "", "")
         if not key or not equals:
             raise ValueError(f"options of a launcher are written name=value, got {text!r}")
-        values[key] = int(value) if value.isdigit() else value
+        given[key] = values.read(value)
+    _leave_the_memory_to_workers()
     if name == "local":
-        if values:
+        if given:
             raise ValueError("the launcher local has no options; --workers says how many")
         return Local()
     module = {"slurm": "mapg_jax.sweeps.slurm", "ray": "mapg_jax.sweeps.ray_tasks"}[name]
     try:
-        return importlib.import_module(module).Launcher(values)
+        return importlib.import_module(module).Launcher(given)
     except ImportError as error:
         raise ValueError(
             f"the launcher {name} needs a package that is not installed ({error.name}); "
@@ -148,8 +154,8 @@ class LocalWorker:
 _PREALLOCATION = {PREALLOCATE: os.environ.get(PREALLOCATE, "true")}
 
 
-def leave_the_memory_to_workers() -> None:
-    """To be called before JAX first looks for a device."""
+def _leave_the_memory_to_workers() -> None:
+    """Serves if JAX has not looked for a device yet."""
     os.environ[PREALLOCATE] = "false"
 
 
@@ -182,14 +188,14 @@ def own_cores() -> list[int]:
     return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
 
 
-def visible_gpus() -> list[int]:
-    """Of this machine, as the driver numbers them."""
+def visible_gpus() -> list[str]:
+    """Of this machine, as CUDA_VISIBLE_DEVICES names them: by numbers, or by UUIDs."""
     if jax.default_backend() != "gpu":
         return []
-    named = os.environ.get("CUDA_VISIBLE_DEVICES", "")
-    numbers = [int(text) for text in named.split(",") if text.strip().isdigit()]
-    return numbers or list(range(jax.local_device_count()))
+    count = jax.local_device_count()
+    named = os.environ.get("CUDA_VISIBLE_DEVICES") or ",".join(map(str, range(count)))
+    return [name.strip() for name in named.split(",")][:count]
 
 
 def _one_gpu(share: Share) -> Mapping[str, str]:
-    return {} if share.gpu is None else {"CUDA_VISIBLE_DEVICES": str(share.gpu)}
+    return {} if share.gpu is None else {"CUDA_VISIBLE_DEVICES": share.gpu}

@@ -25,13 +25,15 @@ class Launcher:
         """`address` of the cluster, and what `ray.remote` takes: num_cpus, num_gpus, …"""
         of_tasks = {"num_cpus": 1, "max_retries": RETRIES, **options}
         address = of_tasks.pop(ADDRESS, os.environ.get("RAY_ADDRESS"))
+        try:  # a task whose node is lost is started again; it goes on from its run folders
+            self._remote = ray.remote(**of_tasks)(_carry)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"Ray takes no such task: {str(error).splitlines()[0]}") from None
         if not ray.is_initialized():
             try:
                 ray.init(address, log_to_driver=False, include_dashboard=False)
             except (ConnectionError, RuntimeError, ValueError) as error:
                 raise ValueError(f"Ray cannot be reached: {str(error).splitlines()[0]}") from None
-        # A task whose node is lost is started again; it goes on from its run folders.
-        self._remote = ray.remote(**of_tasks)(_carry)
 
     def shares(self, workers: int) -> list[Share]:
         return [Share()] * workers

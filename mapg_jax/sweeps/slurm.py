@@ -1,11 +1,13 @@
 """Workers as jobs of Slurm by submitit: one a group, saved and queued again when preempted."""
 
+import os
 import pathlib
 import subprocess
 from collections.abc import Sequence
 
 import submitit
 from submitit.core.utils import FailedJobError, UncompletedJobError
+from submitit.slurm.slurm import SlurmInfoWatcher
 
 from mapg_jax.sweeps import launchers
 from mapg_jax.sweeps.launchers import Share
@@ -13,6 +15,10 @@ from mapg_jax.sweeps.task import Task, dismiss
 
 CLUSTER = "cluster"
 """The option that says whose jobs: slurm, or local for processes of this machine."""
+POLL_SECONDS = 30
+"""How often Slurm is asked what became of jobs that have no result yet."""
+NO_LIMIT = 10**9
+"""Of time limits that a job may reach: at each it saves and is queued again."""
 USUAL: launchers.Options = {"timeout_min": 24 * 60, "cpus_per_task": 1, "name": "mapg"}
 
 
@@ -25,10 +31,12 @@ class Launcher:
         """Parameters of a job, as submitit names them: timeout_min, slurm_partition, …"""
         self._options = {**USUAL, **options}
         self._cluster = self._options.pop(CLUSTER, "slurm")
+        _refuse_wrong_numbers(self._options)
         # What is wrong is refused before anything is written.
         self._executor(pathlib.Path())
         if self._cluster == "slurm":
             _refuse_without_controller()
+        self._queue = Queue(delay_s=POLL_SECONDS)
 
     def shares(self, workers: int) -> list[Share]:
         return [Share()] * workers
@@ -39,16 +47,34 @@ class Launcher:
             job = executor.submit(Task(command, log, launchers.environment()))
         except FailedJobError as error:
             raise OSError(f"Slurm takes no job: {str(error).splitlines()[0]}") from None
+        if isinstance(job, submitit.SlurmJob):
+            job.watcher = self._queue
         return Job(job, log)
 
     def _executor(self, folder: pathlib.Path) -> submitit.AutoExecutor:
         try:
-            executor = submitit.AutoExecutor(folder, cluster=self._cluster)
+            executor = submitit.AutoExecutor(
+                folder, cluster=self._cluster, slurm_max_num_timeout=NO_LIMIT
+            )
             executor.update_parameters(**self._options)
-        except (NameError, RuntimeError, ValueError) as error:
+        except (AssertionError, NameError, RuntimeError, TypeError, ValueError) as error:
             reason = str(error).splitlines()[0]
             raise ValueError(f"Slurm cannot be used as asked: {reason}") from None
         return executor
+
+
+def _refuse_wrong_numbers(options: launchers.Options) -> None:
+    """Raises ValueError if a number of a job is none, or is that of several tasks."""
+    for name, least in (("timeout_min", 1), ("cpus_per_task", 1), ("gpus_per_node", 0)):
+        value = options.get(name, least)
+        if type(value) is not int or value < least:
+            raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
+    memory = options.get("mem_gb", 1)
+    if type(memory) not in (int, float) or not 0 < memory < float("inf"):
+        raise ValueError(f"mem_gb must be a number above 0, got {memory!r}")
+    for name in ("nodes", "tasks_per_node"):
+        if options.get(name, 1) != 1:
+            raise ValueError(f"a group is one task on one node; leave {name} out")
 
 
 def _refuse_without_controller() -> None:
@@ -62,6 +88,25 @@ def _refuse_without_controller() -> None:
         raise ValueError(f"Slurm does not answer here: {said.strip().splitlines()[-1]}")
 
 
+class Queue(SlurmInfoWatcher):
+    """What Slurm has pending or running, by squeue; sacct has nothing where none keeps accounts."""
+
+    def _make_command(self) -> list[str]:
+        return ["squeue", "--noheader", f"--user={os.getuid()}", "--format=%A %T"]
+
+    def read_info(self, string: bytes | str) -> dict[str, dict[str, str]]:
+        text = string if isinstance(string, str) else string.decode()
+        listed = dict(line.split() for line in text.splitlines())
+        return {job: {"State": _state(listed.get(job))} for job in self._registered}
+
+
+def _state(listed: str | None) -> str:
+    """Of a job, as submitit knows them; one that is not listed has ended, somehow."""
+    if listed is None:
+        return "COMPLETED"
+    return "PENDING" if listed == "PENDING" else "RUNNING"
+
+
 class Job:
     """A job, perhaps in its queue."""
 
@@ -73,10 +118,13 @@ class Job:
 
     def stop(self) -> None:
         dismiss(self._log)
-        if self._job.state in ("PENDING", "UNKNOWN"):
-            self._job.cancel()
+        if self._job.state == "PENDING":  # or was, a moment ago
+            subprocess.run(["scancel", "--state=PENDING", self._job.job_id], check=False)
 
     def wait(self) -> int:
+        self._job.wait()
+        if not self._job.paths.stdout.exists():  # it was cancelled before it began
+            return 1
         try:
             return int(self._job.result())
         except (FailedJobError, UncompletedJobError):

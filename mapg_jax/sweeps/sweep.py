@@ -9,18 +9,21 @@ from typing import NamedTuple
 from mapg_jax.runs.finishing import is_finished
 from mapg_jax.runs.folder import RunFolder, is_blank
 from mapg_jax.runs.signals import StoppedError, caught_signals
+from mapg_jax.sweeps import launchers
 from mapg_jax.sweeps.groups import (
     Group,
     Grouping,
     Job,
+    accelerators,
     at_work,
+    checked_workers,
     groups,
     parts,
     refuse_a_full_disk,
     with_work_for,
     workers_that_fit,
 )
-from mapg_jax.sweeps.launchers import Launcher, Local, leave_the_memory_to_workers
+from mapg_jax.sweeps.launchers import Launcher
 from mapg_jax.sweeps.pool import Worker
 from mapg_jax.sweeps.table import SweepTable
 from mapg_jax.training.config import Config
@@ -57,9 +60,10 @@ def make_schedule(
     Raises:
       ValueError: if a folder holds another run, or memory or disk do not suffice.
     """
-    leave_the_memory_to_workers()
-    waiting = [part for whole in groups(unique_jobs(runs), group) for part in _left_of(whole)]
-    launcher = launcher or Local()
+    launcher = launcher or launchers.launcher("local")
+    abreast = checked_workers(workers) or (accelerators() if launcher.here else 1)
+    cut = groups(unique_jobs(runs), group, abreast)
+    waiting = [part for whole in cut for part in _left_of(whole)]
     if launcher.here:
         count = workers_that_fit(waiting, workers)
     else:  # the machines that they run on know what fits

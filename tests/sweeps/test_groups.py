@@ -7,6 +7,7 @@ import oracles
 import pytest
 
 from mapg_jax.sweeps import groups as module
+from mapg_jax.sweeps import sweep
 from mapg_jax.sweeps.groups import Job, groups, workers_that_fit
 
 RUN = dataclasses.replace(oracles.RUN, steps=400, checkpoint_seconds=300.0, checkpoints_kept=2)
@@ -23,8 +24,9 @@ def test_groups_are_cut_as_asked():
     assert sizes == {"auto": [1] * 6, "one": [1] * 6, "all": [3, 3], 2: [2, 1, 2, 1]}
     for cut in (groups(mixed, "all"), groups(mixed, 2)):
         assert sorted(job.path for group in cut for job in group) == sorted(j.path for j in mixed)
-    with pytest.raises(ValueError, match="at least 1, got 0"):
-        groups(mixed, 0)
+    for wrong in (0, "some"):
+        with pytest.raises(ValueError, match=f"all or at least 1, got {wrong!r}"):
+            groups(mixed, wrong)
 
 
 def test_accelerators_get_as_many_as_fit(monkeypatch):
@@ -41,12 +43,26 @@ def test_accelerators_get_as_many_as_fit(monkeypatch):
         workers_that_fit(groups(jobs(), "all"))
 
 
+def test_no_accelerator_is_idle(tmp_path, monkeypatch):
+    """Though the memory of one would hold all runs."""
+    monkeypatch.setattr(module.jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(module, "available_bytes", lambda: 10**12)
+    runs = [(dataclasses.replace(RUN, seed=seed), tmp_path / f"{seed}") for seed in range(10)]
+    for workers, sizes in ((None, [3, 3, 3, 1]), (1, [10]), (2, [5, 5])):
+        monkeypatch.setattr(module.jax, "local_device_count", lambda: 4)
+        schedule = sweep.make_schedule(runs, workers=workers)
+        assert [len(group) for group in schedule.groups] == sizes
+        assert schedule.workers == len(sizes)
+
+
 def test_workers_are_as_many_as_memory_allows(monkeypatch):
     cut = groups(jobs(), "one")
     monkeypatch.setattr(module, "cpus", lambda: 3)
     monkeypatch.setattr(module, "available_bytes", lambda: 2_500_000_000)
     assert workers_that_fit(cut) == 2  # each takes 1 GB and its state
     assert workers_that_fit(cut, 1) == 1
+    with pytest.raises(ValueError, match="workers must be a whole number of at least 1, got 'x'"):
+        workers_that_fit(cut, "x")
     with pytest.raises(ValueError, match="3 at a time"):
         workers_that_fit(cut, 3)
     monkeypatch.setattr(module, "available_bytes", lambda: 500_000_000)

@@ -14,6 +14,7 @@ import time
 
 import oracles
 import pytest
+import submitit
 
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.sweeps import launchers, sweep
@@ -21,6 +22,7 @@ from mapg_jax.sweeps import task as task_module
 from mapg_jax.sweeps import worker as worker_module
 from mapg_jax.sweeps.launchers import Local, launcher
 from mapg_jax.sweeps.pool import Worker
+from mapg_jax.sweeps.slurm import Job, Queue
 from mapg_jax.sweeps.task import Task
 
 RUN = dataclasses.replace(oracles.RUN, steps=400, checkpoint_seconds=300.0, checkpoints_kept=2)
@@ -65,13 +67,22 @@ def local(tmp_path_factory):
 
 
 def test_each_worker_sees_one_gpu(monkeypatch):
-    monkeypatch.setattr(launchers, "visible_gpus", lambda: [2, 5])
-    shares = Local().shares(3)
-    assert [share.gpu for share in shares] == [2, 5, 2]
-    seen = [launchers._one_gpu(share) for share in shares]
-    assert seen[1] == {"CUDA_VISIBLE_DEVICES": "5"}
-    monkeypatch.setattr(launchers, "visible_gpus", lambda: [2])
+    monkeypatch.setattr(launchers.jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(launchers.jax, "local_device_count", lambda: 2)
+    for visible, names in (("", "01"), ("2, 5", "25"), ("GPU-a,GPU-b", ["GPU-a", "GPU-b"])):
+        monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
+        shares = Local().shares(3)
+        assert [share.gpu for share in shares] == [*names, names[0]]
+        assert launchers._one_gpu(shares[1]) == {"CUDA_VISIBLE_DEVICES": names[1]}
+    monkeypatch.setattr(launchers.jax, "local_device_count", lambda: 1)
     assert launchers._one_gpu(Local().shares(1)[0]) == {}  # as this process sees it
+
+
+def test_the_memory_of_a_gpu_is_left_to_workers(monkeypatch):
+    monkeypatch.setenv(launchers.PREALLOCATE, "true")
+    launcher("local")
+    assert os.environ[launchers.PREALLOCATE] == "false"
+    assert launchers.environment()[launchers.PREALLOCATE] == "true"
 
 
 def test_workers_of_a_checkout_need_no_installation():
@@ -92,8 +103,10 @@ def test_what_is_wrong_is_said(monkeypatch):
         launcher("local", ["a=1"])
     with pytest.raises(ValueError, match="written name=value, got 'partition'"):
         launcher("slurm", ["partition"])
-    with pytest.raises(ValueError, match=r"Slurm cannot be used as asked: .*nonsense"):
-        launcher("slurm", ["cluster=local", "nonsense=1"])
+    with pytest.raises(ValueError, match="written name=value, got 1"):
+        launcher("slurm", [1])
+    with pytest.raises(ValueError, match="a launcher is local, slurm or ray, got 'foo'"):
+        launcher("foo")
 
     def missing(name):
         raise ImportError("no", name="ray")
@@ -101,6 +114,71 @@ def test_what_is_wrong_is_said(monkeypatch):
     monkeypatch.setattr(importlib, "import_module", missing)
     with pytest.raises(ValueError, match=r"\(ray\); pip install 'mapg-jax\[ray\]'"):
         launcher("ray")
+
+
+@pytest.mark.parametrize(
+    ("option", "refusal"),
+    [
+        ("nonsense=1", r"Slurm cannot be used as asked: .*nonsense"),
+        ("timeout_min=abc", "timeout_min must be a whole number of at least 1, got 'abc'"),
+        ("timeout_min=1.5", "timeout_min must be a whole number of at least 1, got 1.5"),
+        ("timeout_min=-5", "timeout_min must be a whole number of at least 1, got -5"),
+        ("timeout_min=²", "timeout_min must be a whole number of at least 1, got '²'"),
+        ("cpus_per_task=x", "cpus_per_task must be a whole number of at least 1, got 'x'"),
+        ("mem_gb=0", "mem_gb must be a number above 0, got 0"),
+        ("nodes=2", "a group is one task on one node; leave nodes out"),
+        ("stderr_to_stdout=maybe", "Slurm cannot be used as asked: .*stderr_to_stdout"),
+    ],
+)
+def test_a_job_that_cannot_be_is_refused_in_one_line(option, refusal):
+    with pytest.raises(ValueError, match=refusal) as error:
+        launcher("slurm", ["cluster=local", option])
+    assert "\n" not in str(error.value)
+
+
+SQUEUE = """#!/bin/sh
+cat {folder}/listed
+"""
+SCANCEL = """#!/bin/sh
+echo $* >> {folder}/cancelled
+"""
+
+
+@pytest.fixture
+def queue(tmp_path, monkeypatch):
+    """Slurm's commands, for whom jobs are what the file `listed` says."""
+    for name, text in (("squeue", SQUEUE), ("scancel", SCANCEL)):
+        file = tmp_path / name
+        file.write_text(text.format(folder=tmp_path))
+        file.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    return tmp_path
+
+
+def job_of(folder: pathlib.Path, number: str) -> Job:
+    job = submitit.SlurmJob(folder, number)
+    job.watcher = Queue(delay_s=0)
+    return Job(job, folder / "worker.log")
+
+
+def test_what_became_of_jobs_is_known_without_accounting(queue):
+    """One that died has no result and is listed no more; without an answer, nothing is believed."""
+    waiting, dead = job_of(queue, "1"), job_of(queue, "22")
+    assert waiting.running()
+    assert dead.running()
+    (queue / "listed").write_text("1 CONFIGURING\n2 RUNNING\n")
+    time.sleep(0.01)
+    assert (waiting.running(), dead.running()) == (True, False)
+    assert dead.wait() == 1
+
+
+def test_only_a_job_in_its_queue_is_cancelled(queue):
+    (queue / "listed").write_text("1 PENDING\n2 RUNNING\n")
+    for job in (pending := job_of(queue, "1"), job_of(queue, "2")):
+        job.stop()
+    assert (queue / "cancelled").read_text() == "--state=PENDING 1\n"
+    (queue / "listed").write_text("")
+    assert pending.wait() == 1
 
 
 @pytest.mark.slow
