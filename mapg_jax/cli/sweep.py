@@ -42,7 +42,8 @@ def parse(flags: list[str]) -> argparse.Namespace:
         type=_grouping,
         default="auto",
         help="Runs that share a compiled program and go in lockstep: one, all that can, or so many "
-        "at most; auto is one on a CPU and as many as half of an accelerator's memory holds.",
+        "at most; auto is one on a CPU and as many as half of an accelerator's memory holds, but "
+        "of several none is idle.",
     )
     add_workers(command)
     command.add_argument(

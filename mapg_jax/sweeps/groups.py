@@ -126,7 +126,7 @@ def checked_workers(wanted: int | None) -> int | None:
       ValueError: if it is no number of workers.
     """
     if wanted is not None and (type(wanted) is not int or wanted < 1):
-        raise ValueError(f"workers must be a whole number of at least 1, got {wanted!r}")
+        raise ValueError(f"workers must be at least 1, got {wanted!r}")
     return wanted
 
 
