@@ -11,7 +11,7 @@ import optax
 import oracles
 import pytest
 
-from mapg_jax.algorithms import descent, normalization, shards
+from mapg_jax.algorithms import descent, normalization, registry, shards
 from mapg_jax.runs.hosts import placed
 from mapg_jax.training.config import Config, preset
 from mapg_jax.training.layout import Layout
@@ -19,9 +19,12 @@ from mapg_jax.training.trainer import make_trainer
 
 SMALL = {"environments": 16, "shards": 8, "hidden": (8, 8)}
 REPLAY = {"replay_size": 640, "batch_size": 32, "learning_starts": 16, "updates_per_step": 0.25}
+ROLLOUTS = {"rollout_steps": 8}
 RUNS = {
-    "mapg": preset("smoke", "mapg", **SMALL, **REPLAY),
-    "a3c": preset("smoke", "a3c", rollout_steps=8, **SMALL),
+    **{name: preset("smoke", name, **SMALL, **REPLAY) for name in ("mapg", "td3", "sac")},
+    "naf": preset("smoke", "naf", heads=1, **SMALL, **REPLAY),  # which peak is highest can be a tie
+    **{name: preset("smoke", name, **SMALL, **ROLLOUTS) for name in ("a3c", "trpo")},
+    "ppo": preset("smoke", "ppo", minibatches=2, **SMALL, **ROLLOUTS),
 }
 """What runs on 8 devices: `python test_shards.py NAME DEVICES…` prints where it was the same."""
 
@@ -60,6 +63,10 @@ def test_each_shard_has_keys_of_its_own():
     keys = jax.vmap(lambda _: shards.own(key), axis_name=shards.SHARD)(jnp.arange(5))
     assert len({tuple(x) for x in np.asarray(jax.random.key_data(keys)).tolist()}) == 5
     assert shards.own(key) is key  # of a run of one shard
+
+
+def test_every_algorithm_is_laid_over_devices():
+    assert set(RUNS) == set(registry.names())
 
 
 def test_starts_are_those_of_the_run_of_one_shard():
