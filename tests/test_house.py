@@ -48,6 +48,7 @@ ROOMS = {
         "plugins",
     ),
     "runs": (
+        "whole_file",
         "csv_file",
         "hosts",
         "locking",

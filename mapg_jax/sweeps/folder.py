@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 from envs.values import fits
 from mapg_jax.runs.folder import FORMAT, make_folder, write_json
 from mapg_jax.sweeps import grid, launchers
-from mapg_jax.sweeps.groups import Grouping
+from mapg_jax.sweeps.groups import Grouping, checked_workers
 from mapg_jax.training.config import Config
 
 
@@ -42,8 +42,7 @@ class FolderOfRuns:
             if not fits(value, hint):
                 expected = hint.__name__ if isinstance(hint, type) else hint
                 raise ValueError(f"{name} must be {expected}, got {value!r}")
-        if self.workers is not None and self.workers < 1:
-            raise ValueError(f"workers must be at least 1, got {self.workers}")
+        checked_workers(self.workers)
 
     def check(self) -> None:
         """Raises ValueError if its runs cannot be configured."""

@@ -24,7 +24,7 @@ PROCESS_BYTES = 1_000_000_000  # Python, JAX, MuJoCo and compiled programs, besi
 
 
 SHARE = 0.5
-"""Of an accelerator's memory for training states: resuming holds them twice for a moment."""
+"""Of an accelerator's memory for training states; turns, evaluations and resuming need the rest."""
 
 
 class Job(NamedTuple):

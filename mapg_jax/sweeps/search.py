@@ -140,7 +140,6 @@ def make_plan(search: SearchFolder) -> Plan:
       ValueError: if a value is none of its field, a launcher lacks its package, or memory or disk
         do not suffice.
     """
-    launchers.leave_the_memory_to_workers()
     launcher = launchers.launcher(search.launcher, search.launcher_options)
     largest = _largest(search)
     trials = [(Job(largest, search.run(number)),) for number in range(search.trials)]
