@@ -103,6 +103,8 @@ def refuse_other_protocols(plan: Plan) -> None:
             theirs = f"runs of {result.steps:,} steps, and these have {plan.base.steps:,}"
         elif result.settings not in known:
             theirs = f"other settings ({result.settings or 'those of the preset paper'})"
+        elif (result.episodes, result.select) != (plan.base.final_episodes, "uniform"):
+            theirs = f"a run that was scored by {result.episodes} episodes and {result.select}"
         elif reason := scores.difference(
             found[:number], result.versions, result.env, result.physics
         ):

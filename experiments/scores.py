@@ -30,7 +30,7 @@ def read(plan: Plan) -> list[Result]:
     seen = set()
     for result in found:
         run = f"{result.env}, {result.algorithm}, M = {result.heads}, seed {result.seed}"
-        if reason := _flaw(plan, result):
+        if reason := _flaw(result):
             raise ValueError(f"{path(plan)}: {run} {reason}; leave it out")
         if result.run in seen:
             raise ValueError(f"{path(plan)} holds two scores of {run}; leave one out")
@@ -38,17 +38,12 @@ def read(plan: Plan) -> list[Result]:
     return found
 
 
-def _flaw(plan: Plan, result: Result) -> str:
+def _flaw(result: Result) -> str:
     """What a row has otherwise than version 2 of the protocol asks; or ''."""
     if result.seed < FIRST_SEED:
         return f"is not of version 2 of the protocol, whose seeds are {FIRST_SEED} and above"
     if not (result.processor and result.engine):
         return "does not name its processor and engine, as version 2 of the protocol asks of a run"
-    if result.select != "uniform" or result.episodes != plan.base.final_episodes:
-        return (
-            f"was scored by {result.episodes} episodes and --select {result.select}, and the "
-            f"protocol asks for {plan.base.final_episodes} and uniform"
-        )
     return ""
 
 

@@ -292,7 +292,8 @@ def test_results_that_cannot_be_written_are_refused_before_anything_is_trained(t
     assert not plan.runs.exists()
 
 
-def test_the_order_is_that_of_the_protocol():
+def test_the_order_is_that_of_the_protocol(monkeypatch):
+    monkeypatch.setattr(plan_, "RULES", RULES)  # of which the plan that is made here has one
     plan = Plan(Config(), None, *[None] * 2)
     ordered = paper.runs(plan, list(paper.TITLES))
     folders = [name(config, plan) for config in ordered]
@@ -341,8 +342,11 @@ def test_a_cell_has_the_seeds_of_the_protocol_and_no_more():
     [
         ({"seed": 150}, "seed 150 is not of version 2 of the protocol, whose seeds are 2000 and"),
         ({"processor": ""}, "seed 2000 does not name its processor and engine, as version 2"),
-        ({"select": "argmax-q"}, "100 episodes and --select argmax-q, and the protocol asks for"),
-        ({"episodes": 1}, "scored by 1 episodes and --select uniform, and the protocol asks for"),
+        (
+            {"select": "argmax-q"},
+            "holds a run that was scored by 100 episodes and argmax-q; choose",
+        ),
+        ({"episodes": 1}, "holds a run that was scored by 1 episodes and uniform; choose"),
     ],
 )
 def test_rows_that_the_protocol_does_not_know_are_refused(tmp_path, changes, message):
