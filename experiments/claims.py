@@ -137,18 +137,19 @@ def c3(plan: Plan) -> Verdict:
     n = len(found.spikes)
     step, reward, spikes = (statistics.student(values) for values in found)
     text = "the spread of the actions falls while the return rises, with spikes that stay"
-    verdict = waiting(plan, fig2.runs(plan), curves.FILE) or by_seeds(
-        n, step.high < 0 and reward.high < 0 and spikes.low > 0, max(step.low, reward.low) > 0
-    )
-    effect = (
-        f"rank correlation of spread with step {step:.2f}, with return, detrended, {reward:.2f}; "
-        f"log of the highest spike over chance {spikes:.2f}"
-    )
     parts = {
         "that it falls": _side(step, -1),
         "that it falls as the return rises": _side(reward, -1),
         "that spikes stay": _side(spikes, 1),
     }
+    sides = list(parts.values())
+    verdict = waiting(plan, fig2.runs(plan), curves.FILE) or by_seeds(
+        n, set(sides) == {SUPPORTED}, CONTRADICTED in sides[:2]
+    )
+    effect = (
+        f"rank correlation of spread with step {step:.2f}, with return, detrended, {reward:.2f}; "
+        f"log of the highest spike over chance {spikes:.2f}"
+    )
     evidence = f"{'; '.join(f'{part}: {side}' for part, side in parts.items())}; {count(*found)}"
     return Verdict("C3", text, verdict, effect if n else "", evidence=evidence if n else "")
 

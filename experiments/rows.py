@@ -20,6 +20,11 @@ def identity(config: Config) -> dict[str, str]:
     return {name: str(value) for name, value in run_key(config)._asdict().items()}
 
 
+def keys(runs: Sequence[Config]) -> set[tuple[str, ...]]:
+    """COLUMNS of each of those runs."""
+    return {tuple(identity(config).values()) for config in runs}
+
+
 def read(path: pathlib.Path, columns: Sequence[str] = ()) -> list[dict[str, str]]:
     """The rows of a file; none if there is no file.
 
@@ -70,11 +75,11 @@ def of(
     Raises:
       ValueError: if the file is damaged: a column is missing, a number is none, or a row is double.
     """
-    keys = {tuple(identity(config).values()) for config in runs}
+    wanted = keys(runs)
     apart = (*COLUMNS, each) if each else COLUMNS
     found: dict[tuple[str, ...], dict[str, Any]] = {}
     for row in read(path, (*apart, *numbers)):
-        if tuple(row[k] for k in COLUMNS) not in keys:
+        if tuple(row[k] for k in COLUMNS) not in wanted:
             continue
         key = tuple(row[k] for k in apart)
         if key in found:
@@ -86,8 +91,7 @@ def of(
 
 def runs_in(path: pathlib.Path, runs: Sequence[Config]) -> set[tuple[str, ...]]:
     """Which of those runs have rows, by their COLUMNS."""
-    keys = {tuple(identity(config).values()) for config in runs}
-    return keys & {tuple(row[k] for k in COLUMNS) for row in read(path, COLUMNS)}
+    return keys(runs) & {tuple(row[k] for k in COLUMNS) for row in read(path, COLUMNS)}
 
 
 def _number(path: pathlib.Path, row: Mapping[str, str], name: str) -> float:

@@ -38,7 +38,7 @@ def waiting(plan: Plan, runs: Sequence[Config], measured: str = "") -> str:
     Raises:
       ValueError: if a run is said to have diverged, and has a score too.
     """
-    wanted = {tuple(rows.identity(config).values()) for config in runs}
+    wanted = rows.keys(runs)
     scored = {tuple(map(str, result.run)) for result in scores.of(plan, runs)}
     diverged = rows.runs_in(plan.measured / rows.DIVERGED, runs)
     if both := scored & diverged:
