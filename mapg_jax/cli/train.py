@@ -4,21 +4,21 @@ import argparse
 import logging
 import pathlib
 import sys
-from collections.abc import Sequence
-from typing import TextIO
+from collections.abc import Mapping, Sequence
+from typing import Any, TextIO
 
 from mapg_jax.cli import completion, config_file, fields
 from mapg_jax.cli.console import complain, refuse_politely
 from mapg_jax.cli.main import parser
 from mapg_jax.cli.score import print_score
-from mapg_jax.runs import hosts, trackers
+from mapg_jax.runs import hosts, memory, trackers
 from mapg_jax.runs.finishing import finish
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.run import Run
 from mapg_jax.runs.signals import caught_signals
 from mapg_jax.runs.train import begin
 from mapg_jax.runs.video import film
-from mapg_jax.training.config import preset
+from mapg_jax.training.config import FITTED, preset
 
 LOG = logging.getLogger(__name__)
 EXAMPLE = (
@@ -104,10 +104,16 @@ def run(arguments: argparse.Namespace, out: TextIO) -> None:
         return
     refuse_politely(lambda: trackers.refuse_missing(arguments.track))
     join_hosts(arguments)
-    under_way = refuse_politely(
-        lambda: begin(preset(arguments.preset, **given), arguments.out, arguments.devices)
-    )
+    under_way = refuse_politely(lambda: _begun(arguments, given))
     take_to_the_end(under_way, out, arguments.track)
+
+
+def _begun(arguments: argparse.Namespace, given: Mapping[str, Any]) -> Run:
+    """A replay of a size that somebody asked for is refused if it does not fit."""
+    config = preset(arguments.preset, **given)
+    if arguments.preset in FITTED and "replay_size" not in given:
+        config = memory.fitting(config, arguments.devices)
+    return begin(config, arguments.out, arguments.devices)
 
 
 def take_to_the_end(run: Run, out: TextIO, track: Sequence[str] = ()) -> None:

@@ -3,27 +3,29 @@
 A checkpoint has three parts: `agent`, enough to act and evaluate; `rest`, what else a run needs to
 go on bit for bit; and `host`, its seal: digests of every array, of the configuration, of itself.
 Only the filled slots of the replay are written, if it is saved at all. Leaves are stored under
-their paths in the tree, random keys as their bits; nothing is pickled.
+their paths in the tree, random keys as their bits; nothing is pickled. Of several hosts each writes
+and reads what its devices hold, of an array that all have the first.
 """
 
 import concurrent.futures
-import hashlib
-import json
+import functools
 import logging
 import pathlib
+import re
 import shutil
 import sys
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
-from mapg_jax.runs import hosts
+from mapg_jax.runs import hosts, seals
 from mapg_jax.training import replay
 from mapg_jax.training.agent import AgentState
+from mapg_jax.training.layout import BY_SHARD
 from mapg_jax.training.state import TrainState
 
 # Orbax logs every save at WARNING, and what it raises besides at ERROR.
@@ -32,67 +34,62 @@ LOG = logging.getLogger(__name__)
 WRITER = concurrent.futures.ThreadPoolExecutor(1, "checkpoints")
 """One checkpoint at a time, of all runs in lockstep too. (Orbax's own threads wait five minutes for
 each other where one cannot write.)"""
+RAISED = ("Event loop is closed", "Encountered error while reading array index")
+"""How what TensorStore tells again of a checkpoint begins: the one error of it has been raised."""
 
 
-def _without_closed_loops(tell):
-    """A hook for what cannot be raised: TensorStore tells event loops of Orbax that have ended of
-    what it could not read or write, which has been raised by then."""
+def _without_what_was_raised(tell):
+    """A hook for what cannot be raised."""
 
     def hook(unraisable):
-        if str(unraisable.exc_value) != "Event loop is closed":
+        if not str(unraisable.exc_value).startswith(RAISED):
             tell(unraisable)
 
     return hook
 
 
-sys.unraisablehook = _without_closed_loops(sys.unraisablehook)
+sys.unraisablehook = _without_what_was_raised(sys.unraisablehook)
 
 
 class DamagedError(ValueError):
     """A checkpoint is not what was written."""
 
 
-class _Record(NamedTuple):
-    """What a checkpoint says of itself, as JSON."""
-
-    env_steps: int
-    config: str
-    """The digest of the run's configuration."""
-    host: dict[str, Any]
-    """The host's own numbers."""
-    leaves: dict[str, dict[str, Any]]
-    """By part and name: shape, dtype and digest."""
-
-
 class Checkpoints:
     """The checkpoints of a run folder."""
 
-    def __init__(self, path: pathlib.Path, kept: int | None = None, config: str = ""):
+    def __init__(
+        self, path: pathlib.Path, kept: int | None = None, config: str = "", shards: int = 1
+    ):
         """Reads; it writes too where it is told how many to keep.
 
         Args:
           path: their folder.
           kept: how many.
           config: the digest of the run's configuration, which is sealed with each of them.
+          shards: of the run.
         """
-        # Of several hosts each reads for itself, and one writes: none waits for another.
-        ours = ocp.options.MultiprocessingOptions(
-            primary_host=jax.process_index(),
-            active_processes={jax.process_index()},
-            barrier_sync_key_prefix=f"host_{jax.process_index()}",
-        )
-        several = jax.process_count() > 1
+        if kept is not None and hosts.is_first():
+            path.mkdir(parents=True, exist_ok=True)
+        self.path, self._kept, self._config, self._shards = path, kept, config, shards
+        self._manager = self._made(_alone())
+        self._writing: concurrent.futures.Future[None] | None = None
+
+    def _made(self, hosts_of_it: ocp.options.MultiprocessingOptions) -> ocp.CheckpointManager:
         options = ocp.CheckpointManagerOptions(
-            max_to_keep=kept,
+            max_to_keep=self._kept,
             enable_async_checkpointing=False,
             create=False,
-            multiprocessing_options=ours if several else ocp.options.MultiprocessingOptions(),
+            multiprocessing_options=hosts_of_it,
         )
-        if kept is not None:
-            path.mkdir(parents=True, exist_ok=True)
-        self.path, self._config, self._options = path, config, options
-        self._manager = ocp.CheckpointManager(path.absolute(), options=options)
-        self._writing: concurrent.futures.Future[None] | None = None
+        return ocp.CheckpointManager(self.path.absolute(), options=options)
+
+    @functools.cached_property
+    def _writer(self) -> ocp.CheckpointManager:
+        """Of all hosts together, while each reads for itself and waits for no other."""
+        if jax.process_count() == 1:
+            return self._manager
+        return self._made(ocp.options.MultiprocessingOptions())
 
     def steps(self) -> list[int]:
         """Environment steps of all complete checkpoints, the newest last."""
@@ -114,6 +111,8 @@ class Checkpoints:
     def begin_to_save(self, state: TrainState, host: Mapping[str, Any]) -> None:
         """`save` from a copy, beside what goes on; it is whole once `wait` has returned.
 
+        Several hosts save together, at once and from the state itself.
+
         Raises:
           OSError: if the one before could not be written.
         """
@@ -121,12 +120,18 @@ class Checkpoints:
         rest = state.replace(agent=None)
         if state.replay is not None:
             rest = rest.replace(replay=replay.trim(state.replay))
+        parts = {"agent": _flatten(state.agent), "rest": _flatten(rest)}
+        step = int(state.env_steps)
+        if jax.process_count() > 1:
+            self._write(step, parts, dict(host))
+            self._manager.reload()
+            return
         # Arrays of NumPy share the buffers of those of JAX, which the next chunk writes over.
-        parts = {
-            part: {name: np.array(leaf) for name, leaf in _flatten(tree).items()}
-            for part, tree in (("agent", state.agent), ("rest", rest))
+        copies = {
+            part: {name: np.array(leaf) for name, leaf in leaves.items()}
+            for part, leaves in parts.items()
         }
-        self._writing = WRITER.submit(self._write, int(state.env_steps), parts, dict(host))
+        self._writing = WRITER.submit(self._write, step, copies, dict(host))
 
     def wait(self) -> None:
         """Until the checkpoint that was begun is whole.
@@ -138,17 +143,14 @@ class Checkpoints:
         if writing is not None:
             writing.result()
 
-    def _write(self, step: int, parts: dict[str, dict[str, np.ndarray]], host: dict) -> None:
-        digests = {
-            part: {name: _digest(leaf) for name, leaf in leaves.items()}
-            for part, leaves in parts.items()
-        }
-        record = _Record(step, self._config, host, digests)
+    def _write(self, step: int, parts: dict[str, dict[str, Any]], host: dict) -> None:
+        digests = {part: seals.of(leaves, self._by_row(leaves)) for part, leaves in parts.items()}
+        record = seals.Record(step, self._config, host, digests)
         saved = {part: ocp.args.StandardSave(leaves) for part, leaves in parts.items()}
-        sealed = {**record._asdict(), "seal": _seal(record)}
+        sealed = {**record._asdict(), "seal": record.seal()}
         args = ocp.args.Composite(**saved, host=ocp.args.JsonSave(sealed))
         try:
-            self._manager.save(step, args=args, force=True)
+            self._writer.save(step, args=args, force=True)
         except Exception as error:  # Orbax and TensorStore raise many kinds
             raise OSError(
                 f"the checkpoint of step {step:,} cannot be written to {self.path} "
@@ -192,7 +194,8 @@ class Checkpoints:
         """A state, in NumPy's arrays but for random keys, and the host's numbers.
 
         Args:
-          shapes: the state's shapes, as `jax.eval_shape` gives them.
+          shapes: the state's shapes, as `jax.eval_shape` gives them; with shardings, of which this
+            host holds a part, the arrays are made there.
           step: of the checkpoint; by default the newest.
 
         Raises:
@@ -228,12 +231,16 @@ class Checkpoints:
     def _none(self) -> ValueError:
         return ValueError(f"{self.path.parent} has no complete checkpoint")
 
-    def _record(self, step: int) -> "_Record":
+    def _by_row(self, leaves: Iterable[str]) -> set[str]:
+        """Those of several shards, [S, ...], which have a digest for each."""
+        return {x for x in leaves if self._shards > 1 and re.split(r"\W", x)[1] in BY_SHARD}
+
+    def _record(self, step: int) -> seals.Record:
         """What a checkpoint says of itself."""
         stored = self._restore(step, "host", ocp.args.JsonRestore())
         try:
-            record = _Record(**{name: stored[name] for name in _Record._fields})
-            sealed = stored["seal"] == _seal(record) and record.env_steps == int(record.env_steps)
+            record = seals.Record(**{name: stored[name] for name in seals.Record._fields})
+            sealed = stored["seal"] == record.seal() and record.env_steps == int(record.env_steps)
         except (KeyError, TypeError, ValueError):
             record, sealed = None, False
         if record is None or not sealed:
@@ -247,14 +254,14 @@ class Checkpoints:
             )
         return record
 
-    def _load(self, step: int, part: str, shapes: Any, record: "_Record") -> Any:
+    def _load(self, step: int, part: str, shapes: Any, record: seals.Record) -> Any:
         leaves, structure = jax.tree_util.tree_flatten_with_path(shapes)
         wanted = {jax.tree_util.keystr(path): shape for path, shape in leaves}
         digests = record.leaves[part]
         self._refuse_other_shapes(step, part, wanted, digests)
-        stored = self._restore(step, part, ocp.args.StandardRestore())
+        stored = self._restore(step, part, _request(wanted, digests))
         for name, digest in digests.items():
-            if _digest(stored[name]) != digest:
+            if not seals.holds(stored[name], digest):
                 raise self._damaged(step, f"{part}{name} is not what was written")
             if name.startswith(".learner") and not np.isfinite(stored[name]).all():
                 raise self._damaged(step, f"{part}{name} is not finite")
@@ -271,6 +278,12 @@ class Checkpoints:
                 f"{self.path.parent}: the checkpoint's {part} is of another configuration, engine "
                 "or version of mapg-jax"
             )
+        whole = [x for x in self._by_row(digests) if len(seals.digests_in(digests[x])) == 1]
+        if whole and jax.process_count() > 1:
+            raise ValueError(
+                f"{self.path.parent} was saved by an earlier version, which sealed the shards as "
+                "one: resume it on one host first"
+            )
         for name in digests:
             shape, ours = tuple(digests[name]["shape"]), expected[name].shape
             if name.startswith(".replay.data"):  # only filled slots are written
@@ -282,8 +295,7 @@ class Checkpoints:
                     f"{self.path.parent}: the checkpoint holds {shape} where {ours} is expected"
                 )
         try:
-            ours = self._options.multiprocessing_options
-            with ocp.StandardCheckpointer(multiprocessing_options=ours) as checkpointer:
+            with ocp.StandardCheckpointer(multiprocessing_options=_alone()) as checkpointer:
                 path = (self.path / str(step) / part).absolute()
                 found = checkpointer.metadata(path).item_metadata.tree
             sizes = {name: [list(array.shape), str(array.dtype)] for name, array in found.items()}
@@ -306,18 +318,6 @@ def _reason(error: Exception) -> str:
     return (str(error).strip() or repr(error)).splitlines()[0][:200]
 
 
-def _digest(leaf: np.ndarray) -> dict[str, Any]:
-    """What an array is to be when it is read again."""
-    leaf = np.asarray(leaf)
-    content = hashlib.blake2b(np.ascontiguousarray(leaf).view(np.uint8).data, digest_size=16)
-    return {"shape": list(leaf.shape), "dtype": str(leaf.dtype), "digest": content.hexdigest()}
-
-
-def _seal(record: "_Record") -> str:
-    text = json.dumps(record._asdict(), sort_keys=True)
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
-
-
 def _flatten(tree: Any) -> dict[str, Any]:
     """Leaves by name, but for the empty ones, which Orbax refuses: MJX's state has some."""
     leaves = jax.tree_util.tree_leaves_with_path(tree)
@@ -328,22 +328,53 @@ def _is_key(dtype) -> bool:
     return jnp.issubdtype(dtype, jax.dtypes.prng_key)
 
 
-def _as_array(leaf: jax.Array | np.ndarray) -> np.ndarray:
-    return np.asarray(jax.random.key_data(leaf) if _is_key(leaf.dtype) else leaf)
+def _as_array(leaf: jax.Array | np.ndarray) -> jax.Array | np.ndarray:
+    """As it is stored: in NumPy's array, but for what lies on several hosts."""
+    bits = jax.random.key_data(leaf) if _is_key(leaf.dtype) else leaf
+    return (
+        bits if isinstance(bits, jax.Array) and not bits.is_fully_addressable else np.asarray(bits)
+    )
 
 
 def _stored(shape: jax.ShapeDtypeStruct) -> jax.ShapeDtypeStruct:
     """Of the array that a leaf is stored as."""
-    return jax.eval_shape(jax.random.key_data, shape) if _is_key(shape.dtype) else shape
+    if not _is_key(shape.dtype):
+        return shape
+    bits = jax.eval_shape(jax.random.key_data, shape)
+    return jax.ShapeDtypeStruct(bits.shape, bits.dtype, sharding=shape.sharding)
 
 
-def _as_leaf(stored: np.ndarray | None, shape: jax.ShapeDtypeStruct) -> jax.Array | np.ndarray:
+def _request(wanted: Mapping[str, jax.ShapeDtypeStruct], digests: Mapping[str, Any]) -> Any:
+    """What Orbax is asked for: NumPy's arrays, or those that lie on several hosts in full size."""
+
+    def like(name):
+        whole, written = _stored(wanted[name]), digests[name]
+        if whole.sharding:
+            return whole
+        return np.broadcast_to(np.zeros((), written["dtype"]), written["shape"])  # takes no memory
+
+    return ocp.args.StandardRestore({name: like(name) for name in digests}, strict=False)
+
+
+def _as_leaf(stored: Any, shape: jax.ShapeDtypeStruct) -> jax.Array | np.ndarray:
     """The leaf of that shape: of the replay, slots that were not filled are zeros."""
     if _is_key(shape.dtype):
         return jax.random.wrap_key_data(jnp.asarray(stored))
-    if stored is None or stored.shape != shape.shape:
-        whole = np.zeros(shape.shape, shape.dtype)
-        if stored is not None:
-            whole[tuple(map(slice, stored.shape))] = stored
-        stored = whole
-    return np.asarray(stored, shape.dtype)
+    if stored is not None and stored.shape == shape.shape:
+        return stored if shape.sharding else np.asarray(stored, shape.dtype)
+    whole = np.zeros(shape.shape, shape.dtype)
+    if shape.sharding:
+        return jax.make_array_from_callback(shape.shape, shape.sharding, lambda index: whole[index])
+    if stored is not None:
+        whole[tuple(map(slice, stored.shape))] = stored
+    return whole
+
+
+def _alone() -> ocp.options.MultiprocessingOptions:
+    """Of this process, which waits for no other."""
+    this = jax.process_index()
+    if jax.process_count() == 1:
+        return ocp.options.MultiprocessingOptions()
+    return ocp.options.MultiprocessingOptions(
+        primary_host=this, active_processes={this}, barrier_sync_key_prefix=f"host_{this}"
+    )

@@ -91,13 +91,13 @@ def of_first(numbers: Any) -> np.ndarray:
     return np.asarray(multihost_utils.broadcast_one_to_all(np.asarray(numbers)))
 
 
-def largest(number: int) -> int:
-    """The largest that any process has."""
+def largest(numbers: Any) -> Any:
+    """The largest that any process has of a number, or of each of an array."""
     if jax.process_count() == 1:
-        return number
+        return numbers
     from jax.experimental import multihost_utils
 
-    return int(np.max(multihost_utils.process_allgather(np.asarray(number))))
+    return np.max(multihost_utils.process_allgather(np.asarray(numbers)), axis=0)
 
 
 def wait(where: str) -> None:
@@ -108,25 +108,15 @@ def wait(where: str) -> None:
         multihost_utils.sync_global_devices(where)
 
 
-def gathered(tree: Any) -> Any:
-    """A tree whose arrays the first process has whole.
-
-    Every process and device has each array for a moment: what is gathered among processes is.
-    """
+def parted(shapes: TrainState, layout: Layout) -> TrainState:
+    """The shapes of a state, with where their arrays lie if that is on several hosts."""
     if jax.process_count() == 1:
-        return tree
-    from jax.experimental import multihost_utils
+        return shapes
 
-    def whole(x):
-        if jax.numpy.issubdtype(x.dtype, jax.dtypes.prng_key):
-            bits = whole(jax.random.key_data(x))
-            return None if bits is None else jax.random.wrap_key_data(bits)
-        if x.is_fully_addressable or x.is_fully_replicated:
-            return np.asarray(x)
-        found = multihost_utils.process_allgather(x, tiled=True)
-        return found if is_first() else None
+    def among_all(x, sharding):
+        return jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=sharding)
 
-    return jax.tree.map(whole, tree)
+    return jax.tree.map(among_all, shapes, layout.shardings(shapes))
 
 
 def placed(state: TrainState, layout: Layout) -> TrainState:

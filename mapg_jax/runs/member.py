@@ -2,6 +2,7 @@
 
 import logging
 import math
+import pathlib
 import shutil
 from typing import Any
 
@@ -34,14 +35,13 @@ class Member:
 
     def __init__(self, folder: RunFolder):
         self.folder, self.config = folder, folder.config
-        self.checkpoints = Checkpoints(
-            folder.checkpoints,
-            folder.config.checkpoints_kept if hosts.is_first() else None,
-            folder.digest,
-        )
+        self.checkpoints = self._checkpoints(folder.checkpoints, folder.config.checkpoints_kept)
         self.seconds_before = 0.0  # of earlier processes
         self.failure: DivergedError | None = None
         self._broken = 0.0  # steps since the last row, as of the chunk before
+
+    def _checkpoints(self, path: pathlib.Path, kept: int) -> Checkpoints:
+        return Checkpoints(path, kept, self.folder.digest, self.config.shards)
 
     def load(self, shapes: Any, step: int) -> Any:
         """The state of a checkpoint; one that is damaged is set aside.
@@ -56,11 +56,7 @@ class Member:
                 f"{self.folder.path} finished without keeping its replay, so that it cannot be "
                 "trained further; train it anew, or sweep with --keep-replay"
             )
-        try:
-            state, host = self.checkpoints.load(shapes, step)
-        except DamagedError as error:
-            self.checkpoints.set_aside(error, step)
-            raise
+        state, host = self._undamaged(shapes, step)
         if host["metrics"] != rows_digest(self.folder.metrics, step):
             raise ValueError(
                 f"{self.folder.metrics} is damaged: up to step {step:,} its rows are not those "
@@ -74,6 +70,20 @@ class Member:
                 self.folder.path,
             )
         return state
+
+    def _undamaged(self, shapes: Any, step: int) -> tuple[Any, dict[str, Any]]:
+        """A state and the host's numbers; what is damaged on one host is so on all."""
+        error = None
+        loaded: Any = None
+        try:
+            loaded = self.checkpoints.load(shapes, step)
+        except DamagedError as damage:
+            error = damage
+        if hosts.largest(error is not None):
+            error = error or DamagedError(f"another host finds the checkpoint {step} damaged")
+            self.checkpoints.set_aside(error, step)
+            raise error
+        return loaded
 
     def begin_to_save(self, state: Any, seconds: float) -> None:
         """Begins a checkpoint of a plain state, `seconds` into this process's part of the run."""
@@ -118,8 +128,9 @@ class Member:
     def save_for_inspection(self, state: Any) -> None:
         """The state of a run that failed, in `diverged/`; no run goes on from it."""
         path = self.folder.path / "diverged"
-        shutil.rmtree(path, ignore_errors=True)  # of an earlier process
-        Checkpoints(path, 1, self.folder.digest).save(state, {})
+        if hosts.is_first():
+            shutil.rmtree(path, ignore_errors=True)  # of an earlier process
+        self._checkpoints(path, 1).save(state, {})
 
     def row(
         self,

@@ -1,14 +1,23 @@
 """What a run needs of memory, refused before anything is compiled."""
 
+import dataclasses
+import logging
+import math
+
 import jax
 import psutil
 
+from mapg_jax.runs import hosts
 from mapg_jax.runs.host import precise
-from mapg_jax.training.config import Config, RolloutConfig
+from mapg_jax.training.config import Config, ReplayConfig, RolloutConfig
 from mapg_jax.training.lockstep import Lockstep
 from mapg_jax.training.replay import capacity
 from mapg_jax.training.state import tree_bytes
 from mapg_jax.training.trainer import Trainer
+
+LOG = logging.getLogger(__name__)
+FILLED = 0.8
+"""Of the memory, by a run whose replay is made to fit: a program takes more than can be counted."""
 
 
 def prepare(*configs: Config, devices: int | None = 1) -> Lockstep:
@@ -38,6 +47,40 @@ def prepare(*configs: Config, devices: int | None = 1) -> Lockstep:
     return program
 
 
+def fitting(config: Config, devices: int | None = 1) -> Config:
+    """The configuration; if its replay is too large for the memory, with the largest that fits.
+
+    Args:
+      config: of a run.
+      devices: as of `prepare`.
+    """
+    if not isinstance(config, ReplayConfig):
+        return config
+    size = int(hosts.of_first(_largest_replay(config, devices)))
+    if size < config.replay_size:
+        wanted = f"{config.replay_size:,}"
+        LOG.warning(
+            "%s transitions do not fit the memory; the replay holds %s", wanted, f"{size:,}"
+        )
+    return dataclasses.replace(config, replay_size=size)
+
+
+def _largest_replay(config: ReplayConfig, devices: int | None) -> int:
+    """Its size, or the largest that fits; where no replay fits, its size."""
+
+    def needed(size):
+        return needed_bytes(Lockstep((dataclasses.replace(config, replay_size=size),), devices))
+
+    size, available = config.replay_size, available_bytes()
+    whole = needed(size)
+    if whole <= available:
+        return size
+    least = config.shards * math.ceil(max(config.batch_size, config.environments) / config.shards)
+    base = needed(least)
+    room = (FILLED * available - base) * (size - least) / max(1, whole - base)
+    return least + int(room) // config.shards * config.shards if room > 0 else size
+
+
 def needed_bytes(program: Lockstep) -> int:
     """Memory that a program needs of each accelerator, or of this machine, at least."""
     each = program.bytes + program.turn_bytes
@@ -45,8 +88,8 @@ def needed_bytes(program: Lockstep) -> int:
         return each
     layout = program.trainer.layout
     here = sum(d.process_index == jax.process_index() for d in layout.mesh.devices.flat)
-    checkpoint = len(program.configs) * tree_bytes(program.trainer.shapes)
-    return here * each + checkpoint
+    whole = len(program.configs) * tree_bytes(program.trainer.shapes)
+    return here * each + min(whole, here * program.bytes)  # a checkpoint's copy of what is here
 
 
 def _what_takes_the_most(trainer: Trainer) -> tuple[str, str]:

@@ -117,7 +117,8 @@ class Run:
 
     def _loaded(self, k: int, step: int) -> Any:
         """The state of a member alone."""
-        state = self.members[k].load(self.program.plain_shapes(k), step)
+        shapes = hosts.parted(self.program.plain_shapes(k), self.trainer.layout)
+        state = self.members[k].load(shapes, step)
         if self.trainer.env.saved:
             return state
         LOG.warning("%s: the episodes under way begin anew", self.members[k].folder.path)
@@ -229,14 +230,14 @@ class Run:
 
         Whoever is told of it may read it.
         """
-        state = hosts.gathered(state)
-        members = [self.members[k] for k in self._healthy()] if hosts.is_first() else []
-        for k, member in zip(self._healthy(), members, strict=False):
+        members = {k: self.members[k] for k in self._healthy()}
+        for k, member in members.items():
             member.begin_to_save(self.program.plain_state(state, k), watch.seconds())
         if wait or watch.callbacks:
-            for member in members:
+            for member in members.values():
                 member.checkpoints.wait()
-                watch.call(Event("checkpoint", member.folder.path, self.env_steps, {}))
+                if hosts.is_first():
+                    watch.call(Event("checkpoint", member.folder.path, self.env_steps, {}))
         hosts.wait("saved")
         watch.saved = time.monotonic()
 
@@ -263,9 +264,7 @@ class Run:
             learner, diverged_at, totals = self.program.of_run(fetched, k)
             member.check_finite(learner, int(diverged_at), totals, self.env_steps)
             if member.failure:
-                alone = hosts.gathered(self.program.plain_state(state, k))
-                if hosts.is_first():
-                    member.save_for_inspection(alone)
+                member.save_for_inspection(self.program.plain_state(state, k))
         if not self._healthy():
             raise next(member.failure for member in self.members if member.failure)
 
@@ -289,7 +288,7 @@ class _Watch:
 
     def agreed_to_stop(self) -> bool:
         """Whether a signal or a callback asks for the end, on any host."""
-        number = hosts.largest(self.signals[0] if self.signals else 0)
+        number = int(hosts.largest(self.signals[0] if self.signals else 0))
         if number and not self.signals:
             self.signals = (number,)  # which another host has caught
         return bool(self.signals) or bool(hosts.largest(self._stopped))

@@ -295,6 +295,9 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
 published ones, one for accelerators, one that ends in seconds. An algorithm takes of it what it
 has, and then its own `presets`."""
 
+FITTED = frozenset({"parallel"})
+"""Presets whose replay is smaller where the device has no memory for it."""
+
 
 def presets_of(algorithm: str) -> tuple[str, ...]:
     """The presets that an algorithm has: those that change what all share, and its own."""

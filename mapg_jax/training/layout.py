@@ -11,9 +11,9 @@ from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from mapg_jax.algorithms.shards import DEVICE, SHARD
 from mapg_jax.training.state import TrainState, tree_bytes
 
-_BY_SHARD = ("explorer", "replay", "env", "running_return")
+BY_SHARD = ("explorer", "replay", "env", "running_return")
 _AXES: Any = {field.name: None for field in dataclasses.fields(TrainState)}
-AXES = TrainState(**_AXES | dict.fromkeys(_BY_SHARD, 0))
+AXES = TrainState(**_AXES | dict.fromkeys(BY_SHARD, 0))
 """Of the state of several shards: what has an axis [S, ...] in front, and what all shards share."""
 
 
@@ -74,7 +74,7 @@ class Layout:
 
     def bytes(self, state: TrainState) -> int:
         """Memory of each device for a state, or its shapes: its own shards, and what all share."""
-        of_shards = tree_bytes([getattr(state, name) for name in _BY_SHARD])
+        of_shards = tree_bytes([getattr(state, name) for name in BY_SHARD])
         return tree_bytes(state) - of_shards + of_shards // self.devices
 
     def shardings(self, state: TrainState) -> Any:

@@ -7,7 +7,7 @@ nowhere, and has its own observation in that place.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -170,10 +170,23 @@ def cut_off(state: ReplayState, environments: int) -> ReplayState:
 
 
 def trim(state: ReplayState) -> ReplayState:
-    """The rings, or those a shard [S, ...], without what is empty in all, on the host."""
+    """The rings, or those a shard [S, ...], without what is empty in all, on the host.
+
+    What lies on several hosts stays there, and whole unless all of it is empty.
+    """
     shards = (slice(None),) * np.ndim(state.size)
-    slots = np.where(_first(state) == 0, state.size, state.data.steps.reward.shape[-1]).max()
-    rows = np.max(state.rows) if slots else 0
-    steps = jax.tree.map(lambda x: np.asarray(x)[*shards, :slots], state.data.steps)
-    observations: Any = np.asarray(state.data.observations)[*shards, :rows]
-    return state.replace(data=Data(steps, observations))
+    c = state.data.steps.reward.shape[-1]
+    slots = int(jnp.where(_first(state) == 0, state.size, c).max())
+    rows = int(jnp.max(state.rows)) if slots else 0
+    data = state.data
+    if _is_here(state):
+        data = jax.tree.map(np.asarray, data)
+    elif slots:
+        return state
+    steps = jax.tree.map(lambda x: x[*shards, :slots], data.steps)
+    return state.replace(data=Data(steps, data.observations[*shards, :rows]))
+
+
+def _is_here(state: ReplayState) -> bool:
+    """Whether this host has all of it."""
+    return not isinstance(state.size, jax.Array) or state.size.is_fully_addressable

@@ -182,6 +182,18 @@ def test_too_little_memory_is_refused_with_the_numbers(mapg, tmp_path, monkeypat
     assert not list(tmp_path.iterdir())
 
 
+def test_only_a_size_that_nobody_asked_for_is_made_to_fit(mapg, tmp_path, monkeypatch, caplog):
+    monkeypatch.setattr(memory, "available_bytes", lambda: 50_000_000)
+    flags = ["train", "--env", "hopper", "--preset", "parallel", "--environments", 8]
+    flags += ["--batch-size", 64, "--out", "run"]
+    status, _, err = mapg(*flags, "--replay-size", 2_000_000)
+    assert status == 2 and "of which the replay of 2,000,000 transitions" in err
+    assert not list(tmp_path.iterdir())
+    assert mapg(*flags, "--steps", 16, "--final-episodes", 1)[0] == 0
+    assert "2,000,000 transitions do not fit the memory" in caplog.text
+    assert 100_000 < RunFolder.open(tmp_path / "run").config.replay_size < 2_000_000
+
+
 def test_memory_that_runs_out_later_is_one_line(mapg, monkeypatch):
     from mapg_jax.cli import envs as command
 

@@ -95,6 +95,41 @@ def test_a_run_goes_on_with_other_devices(whole, tmp_path):
 
 
 @cluster
+def test_two_hosts_go_on_with_what_one_has_saved(whole, tmp_path):
+    """What was not filled of the replay is zeros; a damaged checkpoint is set aside."""
+    flags = [*" ".join(FLAGS).split(), "--replay-size", "4000", "--checkpoint-seconds", "1e9"]
+    path = tmp_path / "run"
+    finish(start("train", *flags, "--out", path, devices=4))
+    half = oracles.newest_state(RunFolder.open(path))
+    finish(start("resume", path, "--steps", 2400, devices=2, processes=2))
+    more = oracles.newest_state(RunFolder.open(path))
+    held = half.replay.size[0]
+    assert half.replay.size.tolist() == [500] * 4 and more.replay.size.tolist() == [600] * 4
+    ours, theirs = more.replay.data.steps.reward, half.replay.data.steps.reward
+    np.testing.assert_array_equal(ours[:, :held], theirs[:, :held])
+    assert not ours[:, 600:].any()
+    file = max((path / "checkpoints/2400/rest").rglob("d/*"), key=lambda x: x.stat().st_size)
+    file.write_bytes(file.read_bytes()[::-1])
+    for process in start("resume", path, "--steps", 2800, devices=2, processes=2):
+        err = process.communicate(timeout=300)[1]
+        assert process.returncode == 0 and "is set aside as 2400.damaged" in err
+        assert "Traceback" not in err
+    assert (path / "checkpoints/2400.damaged").exists()
+    assert oracles.newest_state(RunFolder.open(path)).replay.size.tolist() == [700] * 4
+
+
+@cluster
+def test_two_hosts_that_leave_the_replay_out_begin_it_anew(whole, tmp_path):
+    flags = [*" ".join(FLAGS).split(), "--no-save-replay", "--checkpoint-seconds", "1e9"]
+    path = tmp_path / "run"
+    finish(start("train", *flags, "--out", path, devices=2, processes=2))
+    finish(start("resume", path, "--steps", 2400, devices=2, processes=2))
+    names = (path / "checkpoints/2400").rglob("*")
+    assert not [x for x in names if "replay.data" in x.name]
+    assert oracles.newest_state(RunFolder.open(path)).replay.size.tolist() == [0] * 4
+
+
+@cluster
 def test_a_refusal_of_the_first_is_that_of_all(whole):
     first, second = start(
         "train", *" ".join(FLAGS).split(), "--out", whole.path, devices=2, processes=2

@@ -59,5 +59,27 @@ def test_an_accelerator_needs_its_own_shards_and_what_all_share(monkeypatch):
     assert memory.needed_bytes(program) == shared + apart // 8
 
 
+def test_a_replay_is_made_to_fit(monkeypatch, caplog):
+    """It fills the share of the memory that it may, to a step a shard."""
+    config = Config(env="pendulum", shards=4, environments=8, replay_size=4_000_000)
+    monkeypatch.setattr(memory, "available_bytes", lambda: 100_000_000)
+    fitted = memory.fitting(config)
+    assert fitted == dataclasses.replace(config, replay_size=fitted.replay_size)
+    assert f"the replay holds {fitted.replay_size:,}" in caplog.text
+    assert fitted.replay_size % 4 == 0
+    needed = memory.needed_bytes(Lockstep([fitted]))
+    assert needed == pytest.approx(memory.FILLED * 100e6, rel=1e-3)
+    assert memory.fitting(fitted) == fitted
+
+
+def test_a_replay_that_fits_stays_and_one_that_never_would_is_refused(monkeypatch):
+    config = Config(env="pendulum", replay_size=1_000)
+    assert memory.fitting(config) == config
+    monkeypatch.setattr(memory, "available_bytes", lambda: 1_000)
+    assert memory.fitting(config) == config
+    with pytest.raises(ValueError, match="GB are available"):
+        memory.prepare(memory.fitting(config))
+
+
 def test_available_memory_is_this_machines():
     assert 10e6 < memory.available_bytes() < 1e15

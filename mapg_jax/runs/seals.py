@@ -1,0 +1,92 @@
+"""What a checkpoint is to be when it is read again: digests of its arrays, and of all that it says.
+
+An array that has a row for each shard [S, ...] has a digest for each row, one after the other, so
+that each of several hosts can make and check those of the rows that it holds.
+"""
+
+import hashlib
+import json
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from mapg_jax.runs import hosts
+
+SIZE = 16  # bytes of a digest
+
+
+class Record(NamedTuple):
+    """What a checkpoint says of itself, as JSON."""
+
+    env_steps: int
+    config: str
+    """The digest of the run's configuration."""
+    host: dict[str, Any]
+    """The host's own numbers."""
+    leaves: dict[str, dict[str, dict[str, Any]]]
+    """By part and name: shape, dtype and digest."""
+
+    def seal(self) -> str:
+        """The digest of all of it."""
+        text = json.dumps(self._asdict(), sort_keys=True)
+        return hashlib.blake2b(text.encode(), digest_size=SIZE).hexdigest()
+
+
+def of(leaves: Mapping[str, Any], by_row: Collection[str] = ()) -> dict[str, dict[str, Any]]:
+    """What arrays are to be when they are read again; all hosts that hold them ask together.
+
+    Args:
+      leaves: arrays of NumPy, or of JAX on the devices of several hosts.
+      by_row: names of those that have a digest for each row.
+    """
+    found = [_digests(leaf, leaf.shape, name in by_row) for name, leaf in leaves.items()]
+    ends = np.cumsum([len(rows) for rows in found])[:-1]
+    whole = np.split(hosts.largest(np.concatenate(found)), ends) if found else []
+    return {
+        name: {"shape": list(leaf.shape), "dtype": str(leaf.dtype), "digest": rows.tobytes().hex()}
+        for (name, leaf), rows in zip(leaves.items(), whole, strict=True)
+    }
+
+
+def holds(leaf: Any, seal: Mapping[str, Any]) -> bool:
+    """Whether an array is what was written, as far as this host has it.
+
+    Args:
+      leaf: the array, or one with more behind it along other axes than the first.
+      seal: of the array, as `of` gives it.
+    """
+    wanted = digests_in(seal)
+    if str(leaf.dtype) != seal["dtype"] or list(leaf.shape[:1]) != seal["shape"][:1]:
+        return False
+    if len(wanted) not in (1, *leaf.shape[:1]):
+        return False
+    found = _digests(leaf, seal["shape"], len(wanted) > 1)
+    here = found.any(axis=1)
+    return bool((found == wanted)[here].all())
+
+
+def digests_in(seal: Mapping[str, Any]) -> np.ndarray:
+    """Those of an array's rows, or of all of it [1, SIZE]."""
+    return np.frombuffer(bytes.fromhex(seal["digest"]), np.uint8).reshape(-1, SIZE)
+
+
+def _digests(leaf: Any, shape: Sequence[int], by_row: bool) -> np.ndarray:
+    """Of the array, or of each of its rows [S, SIZE]; zeros of those on other hosts."""
+    found = np.zeros((len(leaf) if by_row else 1, SIZE), np.uint8)
+    for first, content in _here(leaf):
+        inside = (slice(None), *map(slice, shape[1:]))[: content.ndim]
+        for k, row in enumerate(content[inside] if by_row else [content[inside]], first):
+            bits = np.ascontiguousarray(row).view(np.uint8).data
+            found[k] = np.frombuffer(hashlib.blake2b(bits, digest_size=SIZE).digest(), np.uint8)
+    return found
+
+
+def _here(leaf: Any) -> Iterator[tuple[int, np.ndarray]]:
+    """The blocks of rows that this host has, and where they begin."""
+    if not isinstance(leaf, jax.Array) or leaf.is_fully_addressable or leaf.is_fully_replicated:
+        yield 0, np.asarray(leaf)
+        return
+    for shard in leaf.addressable_shards:
+        yield shard.index[0].start or 0, np.asarray(shard.data)
