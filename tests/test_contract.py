@@ -9,6 +9,7 @@ import pytest
 from mapg_jax.algorithms import registry
 from mapg_jax.runs import contract
 from mapg_jax.runs.train import begin
+from mapg_jax.sweeps.sweep import make_schedule
 
 LEARNS = {
     "mapg": {
@@ -101,8 +102,10 @@ def test_what_breaks_the_contract_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(mapg, "update", of_its_shard)
     with pytest.raises(AssertionError, match=r"mapg does not learn in 2 shards; choose --shards 1"):
         contract.check_shards(config)
-    with pytest.raises(ValueError, match="mapg does not learn in 2 shards"):
-        begin(dataclasses.replace(config, shards=2), tmp_path / "run")
+    sharded, path = dataclasses.replace(config, shards=2), tmp_path / "run"
+    for refuses in (lambda: begin(sharded, path), lambda: make_schedule([(sharded, path)])):
+        with pytest.raises(ValueError, match="mapg does not learn in 2 shards"):
+            refuses()
     assert not list(tmp_path.iterdir())
     monkeypatch.setattr(mapg, "selects", ("uniform", "none such"))
     monkeypatch.setattr(mapg, "update", update)

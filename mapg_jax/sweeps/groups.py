@@ -12,6 +12,7 @@ import jax
 from envs.engines.simulators import cpus
 from mapg_jax.runs import disk
 from mapg_jax.runs.checkpoints import Checkpoints
+from mapg_jax.runs.host import precise
 from mapg_jax.runs.memory import available_bytes, with_copy
 from mapg_jax.training.config import Config
 from mapg_jax.training.lockstep import program_key
@@ -21,7 +22,6 @@ from mapg_jax.training.trainer import Trainer, make_trainer
 Grouping = Literal["auto", "one", "all"] | int
 """How many runs a program has: what pays, one, as many as can, or so many at most."""
 PROCESS_BYTES = 1_000_000_000  # Python, JAX, MuJoCo and compiled programs, beside the state
-
 
 SHARE = 0.5
 """Of an accelerator's memory for training states; turns, evaluations and resuming need the rest."""
@@ -133,6 +133,16 @@ def checked_workers(wanted: int | None) -> int | None:
 def accelerators() -> int:
     """Of this machine; 1, if it has none but its processor."""
     return 1 if jax.default_backend() == "cpu" else jax.local_device_count()
+
+
+def refuse_unshared(cut: Sequence[Group]) -> None:
+    """Raises ValueError if an algorithm does not learn in the shards that a run of it has."""
+    seen = {}
+    for config in map(_largest, cut):
+        seen.setdefault((config.algorithm, config.shards), config)
+    with precise():
+        for config in seen.values():
+            _of_any_seed(config).refuse_unshared()
 
 
 def disk_bytes(cut: Sequence[Group], workers: int, keep_replay: bool) -> int:

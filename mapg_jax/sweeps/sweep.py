@@ -20,6 +20,7 @@ from mapg_jax.sweeps.groups import (
     groups,
     parts,
     refuse_a_full_disk,
+    refuse_unshared,
     with_work_for,
     workers_that_fit,
 )
@@ -58,12 +59,14 @@ def make_schedule(
       launcher: starts the workers; by default on this machine.
 
     Raises:
-      ValueError: if a folder holds another run, or memory or disk do not suffice.
+      ValueError: if a folder holds another run, memory or disk do not suffice, or an algorithm does
+        not learn in so many shards.
     """
     launcher = launcher or launchers.launcher("local")
     abreast = checked_workers(workers) or (accelerators() if launcher.here else 1)
     cut = groups(unique_jobs(runs), group, abreast)
     waiting = [part for whole in cut for part in _left_of(whole)]
+    refuse_unshared(waiting)
     if launcher.here:
         count = workers_that_fit(waiting, workers)
     else:  # the machines that they run on know what fits
