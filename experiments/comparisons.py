@@ -175,10 +175,11 @@ def _tests_of_each(comparison: Comparison, pairs, late: Mapping[str, Pair]) -> s
     def line(of: Mapping[str, Pair]) -> str:
         found = {env: van_elteren(comparison.signed({env: pair})) for env, pair in of.items()}
         return "; ".join(
-            f"{env} {test.above:.2g} / {test.below:.2g}" for env, test in found.items()
+            f"{env} {test.above:.3g} / {test.below:.3g}" for env, test in found.items()
         )
 
-    text = f"p for / against: {line(pairs)}"
+    level = f"one against below {ALPHA / len(comparison.envs):.3g} contradicts"
+    text = f"p for / against ({level}): {line(pairs)}"
     return f"{text}. By the second score: {line(late)}" if late else text
 
 
