@@ -55,6 +55,7 @@ ROOMS = {
         "signals",
         "host",
         "folder",
+        "checkpoint_record",
         "checkpoints",
         "contract",
         "metrics",

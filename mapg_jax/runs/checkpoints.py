@@ -22,7 +22,8 @@ import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
-from mapg_jax.runs import hosts, seals
+from mapg_jax.runs import hosts
+from mapg_jax.runs.checkpoint_record import Record, digests_in, digests_of, holds
 from mapg_jax.training import replay
 from mapg_jax.training.agent import AgentState
 from mapg_jax.training.layout import BY_SHARD
@@ -144,8 +145,8 @@ class Checkpoints:
             writing.result()
 
     def _write(self, step: int, parts: dict[str, dict[str, Any]], host: dict) -> None:
-        digests = {part: seals.of(leaves, self._by_row(leaves)) for part, leaves in parts.items()}
-        record = seals.Record(step, self._config, host, digests)
+        digests = {part: digests_of(leaves, self._by_row(leaves)) for part, leaves in parts.items()}
+        record = Record(step, self._config, host, digests)
         saved = {part: ocp.args.StandardSave(leaves) for part, leaves in parts.items()}
         sealed = {**record._asdict(), "seal": record.seal()}
         args = ocp.args.Composite(**saved, host=ocp.args.JsonSave(sealed))
@@ -235,11 +236,11 @@ class Checkpoints:
         """Those of several shards, [S, ...], which have a digest for each."""
         return {x for x in leaves if self._shards > 1 and re.split(r"\W", x)[1] in BY_SHARD}
 
-    def _record(self, step: int) -> seals.Record:
+    def _record(self, step: int) -> Record:
         """What a checkpoint says of itself."""
         stored = self._restore(step, "host", ocp.args.JsonRestore())
         try:
-            record = seals.Record(**{name: stored[name] for name in seals.Record._fields})
+            record = Record(**{name: stored[name] for name in Record._fields})
             sealed = stored["seal"] == record.seal() and record.env_steps == int(record.env_steps)
         except (KeyError, TypeError, ValueError):
             record, sealed = None, False
@@ -254,14 +255,14 @@ class Checkpoints:
             )
         return record
 
-    def _load(self, step: int, part: str, shapes: Any, record: seals.Record) -> Any:
+    def _load(self, step: int, part: str, shapes: Any, record: Record) -> Any:
         leaves, structure = jax.tree_util.tree_flatten_with_path(shapes)
         wanted = {jax.tree_util.keystr(path): shape for path, shape in leaves}
         digests = record.leaves[part]
         self._refuse_other_shapes(step, part, wanted, digests)
         stored = self._restore(step, part, _request(wanted, digests))
         for name, digest in digests.items():
-            if not seals.holds(stored[name], digest):
+            if not holds(stored[name], digest):
                 raise self._damaged(step, f"{part}{name} is not what was written")
             if name.startswith(".learner") and not np.isfinite(stored[name]).all():
                 raise self._damaged(step, f"{part}{name} is not finite")
@@ -278,7 +279,7 @@ class Checkpoints:
                 f"{self.path.parent}: the checkpoint's {part} is of another configuration, engine "
                 "or version of mapg-jax"
             )
-        whole = [x for x in self._by_row(digests) if len(seals.digests_in(digests[x])) == 1]
+        whole = [x for x in self._by_row(digests) if len(digests_in(digests[x])) == 1]
         if whole and jax.process_count() > 1:
             raise ValueError(
                 f"{self.path.parent} was saved by an earlier version, which sealed the shards as "

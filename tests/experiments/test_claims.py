@@ -83,7 +83,9 @@ def test_one_task_contradicts_what_holds_of_them_together(plan):
         write(plan, env, DDPG, spread(50))
         write(plan, env, MAPG, spread(10 if env == "hopper" else 100))
     assert verdicts(plan, "C1a") == ["supported", "contradicted"]
-    assert "(one against below 0.01 contradicts): hopper 1 / 0.00397;" in both(plan, "C1a")[1].evidence
+    assert (
+        "(one against below 0.01 contradicts): hopper 1 / 0.00397;" in both(plan, "C1a")[1].evidence
+    )
 
 
 def test_what_so_few_seeds_cannot_reach_is_not_called_undecided(plan):

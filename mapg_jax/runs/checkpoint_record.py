@@ -1,4 +1,4 @@
-"""What a checkpoint is to be when it is read again: digests of its arrays, and of all that it says.
+"""What a checkpoint says of itself: what its arrays are to be when they are read, and its seal.
 
 An array that has a row for each shard [S, ...] has a digest for each row, one after the other, so
 that each of several hosts can make and check those of the rows that it holds.
@@ -34,7 +34,9 @@ class Record(NamedTuple):
         return hashlib.blake2b(text.encode(), digest_size=SIZE).hexdigest()
 
 
-def of(leaves: Mapping[str, Any], by_row: Collection[str] = ()) -> dict[str, dict[str, Any]]:
+def digests_of(
+    leaves: Mapping[str, Any], by_row: Collection[str] = ()
+) -> dict[str, dict[str, Any]]:
     """What arrays are to be when they are read again; all hosts that hold them ask together.
 
     Args:
@@ -50,26 +52,26 @@ def of(leaves: Mapping[str, Any], by_row: Collection[str] = ()) -> dict[str, dic
     }
 
 
-def holds(leaf: Any, seal: Mapping[str, Any]) -> bool:
+def holds(leaf: Any, written: Mapping[str, Any]) -> bool:
     """Whether an array is what was written, as far as this host has it.
 
     Args:
       leaf: the array, or one with more behind it along other axes than the first.
-      seal: of the array, as `of` gives it.
+      written: of the array, as `digests_of` gives it.
     """
-    wanted = digests_in(seal)
-    if str(leaf.dtype) != seal["dtype"] or list(leaf.shape[:1]) != seal["shape"][:1]:
+    wanted = digests_in(written)
+    if str(leaf.dtype) != written["dtype"] or list(leaf.shape[:1]) != written["shape"][:1]:
         return False
     if len(wanted) not in (1, *leaf.shape[:1]):
         return False
-    found = _digests(leaf, seal["shape"], len(wanted) > 1)
+    found = _digests(leaf, written["shape"], len(wanted) > 1)
     here = found.any(axis=1)
     return bool((found == wanted)[here].all())
 
 
-def digests_in(seal: Mapping[str, Any]) -> np.ndarray:
+def digests_in(written: Mapping[str, Any]) -> np.ndarray:
     """Those of an array's rows, or of all of it [1, SIZE]."""
-    return np.frombuffer(bytes.fromhex(seal["digest"]), np.uint8).reshape(-1, SIZE)
+    return np.frombuffer(bytes.fromhex(written["digest"]), np.uint8).reshape(-1, SIZE)
 
 
 def _digests(leaf: Any, shape: Sequence[int], by_row: bool) -> np.ndarray:
