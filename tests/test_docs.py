@@ -135,3 +135,17 @@ def test_the_speeds_of_the_readme_are_those_of_the_page():
     (cost,) = re.findall(r"^M = 10 takes ([\d.]+) times the time of M = 1", page, re.M)
     assert [name for name, _ in rows] == ["SBX", "Stable-Baselines3", "rejax"]
     assert re.findall(r"([\d.]+) times", paragraph) == [*(times for _, times in rows), cost]
+
+
+def test_what_the_readme_finds_is_what_the_results_say():
+    """The cost of heads, and the p by which C5a falls."""
+    results = (PAGE.parent.parent / "results/README.md").read_text()
+    cost = re.search(r"Ten actions take ([\d.]+) times the time of one, fifty ([\d.]+)", README)
+    p = re.search(r"C5a: p ([\d.]+) where ([\d.]+) decides", README)
+    assert cost and p
+    for heads, ratio in zip((10, 50), cost.groups(), strict=True):
+        assert re.search(rf"^\| {heads} \| \d+ \| {ratio} \(", results, re.M)
+    found, level = p.groups()
+    assert re.search(
+        rf"C5a each: p .*\(one against below {level} contradicts\).* / {found}\.", results
+    )
