@@ -6,6 +6,7 @@ again, so that the command goes on where it was stopped. docs/parallel.md is mad
 """
 
 import argparse
+import collections
 import concurrent.futures
 import math
 import os
@@ -242,10 +243,13 @@ def draw(found: Mapping[Run, Curve]) -> matplotlib.figure.Figure:
                 style = styles[run.algorithm, run.preset]
                 axes.plot(curve["seconds"] / 60, curve["return_mean"], linewidth=1.2, **style)
     shown = {(run.algorithm, run.preset) for run in found}
-    for (algorithm, preset), style in styles.items():
-        if (algorithm, preset) not in shown:
+    for arm, style in styles.items():
+        if arm not in shown:
             continue
-        panels[0].plot([], [], label=f"{algorithm}, {preset}", **style)
+        of_tasks = collections.Counter(x.task for x in found if (x.algorithm, x.preset) == arm)
+        seeds = sorted(set(of_tasks.values()))
+        n = f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else seeds[0]
+        panels[0].plot([], [], label=f"{', '.join(arm)} (n = {n})", **style)
     for axes in panels[len(tasks) :]:
         axes.axis("off")
     figure.legend(loc="outside lower center", ncols=4, frameon=False)

@@ -53,8 +53,9 @@ def by_task(plan: Plan, found: Sequence[rows.Row], envs: Sequence[str]):
         of_m = [row for row in found if (row["env"], row["heads"]) == (env, str(m))]
         return [np.array(row["returns"].split(), float) for row in of_m]
 
+    measured = {row["env"] for row in found}
     return {
         env: {str(m): returns(env, m) for m in (1, *plan.heads)}
         for env in envs
-        if env in plan.tasks
+        if env in plan.tasks and env in measured
     }

@@ -71,7 +71,7 @@ def section(plan: Plan) -> str:
     text = (
         f"Each algorithm by the preset `{plan.preset}`, {steps(plan):,} steps, five seeds: "
         "M = 10 against M = 1, the plain algorithm. The head that acted is updated, as in the "
-        "paper, by TRPO, PPO and TD3; of NAF the highest peak gets the gradient, SAC's every "
+        "paper, by TRPO, PPO and TD3; in NAF the highest peak gets the gradient, in SAC every "
         "component is sampled. `marginal` is by the mixture's own ratio. Test: van Elteren's over "
         "the tasks together; p adjusted by Holm over the five algorithms, one that lacks runs "
         "counting as p = 1.\n\n" + verdict_table(plan).markdown()
@@ -79,7 +79,13 @@ def section(plan: Plan) -> str:
     if groups:
         figure = draw_forest(groups, "P, the probability of improvement of M = 10 over M = 1")
         pictures.save(plan, figure, "carryover")
-        text += "\n\n![Probability of improvement by algorithm and task](carryover.png)"
+        text += (
+            "\n\n![Probability of improvement by algorithm and task](carryover.png)\n\n"
+            "P of M = 10 over M = 1, by task and, once all of them are there, over the tasks "
+            "together (diamond), with 95 % intervals over seeds; beside the task n of either arm. "
+            "The dashed line is ½: neither does better. An interval of no width only means "
+            "that all pairs agree."
+        )
     return f"{text}\n\n{score_table(plan).markdown()}"
 
 

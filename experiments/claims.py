@@ -59,11 +59,14 @@ def section(plan: Plan) -> str:
     return (
         f"{Table(header, lines).markdown()}\n\n"
         "P is the probability of improvement: the share of pairs of seeds in which the first named "
-        "scores higher, with its 95 % interval over seeds; one of no width says that all pairs "
-        "agree, and not how sure that is: p does. Power, of what is undecided: how often "
+        "scores higher, with its 95 % interval over seeds. An interval of no width only means that "
+        "all pairs agree; how sure that is, p says. Power, of what is undecided: how often "
         "the rule would say supported if the paper's ratio of means were true (or, where it has "
-        "none, one standard deviation lay between the arms). Version 1 judged "
-        "its own runs by its own rules; no number here averages both.\n\n"
+        "none, one standard deviation lay between the arms). The spread is the standard deviation "
+        "of the M proposals at a state, in a range of [-1, 1]; the second score is the mean of a "
+        "run's last ten evaluations; n counts the seeds of both arms, task by task. Claims share "
+        "runs (C1, C5 and C9 those of DDPG), and are not independent of each other. Version 1 "
+        "judged its own runs by its own rules; no number here averages both.\n\n"
         f"{evidence}"
     )
 

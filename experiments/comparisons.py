@@ -185,4 +185,5 @@ def _tests_of_each(comparison: Comparison, pairs, late: Mapping[str, Pair]) -> s
 
 def _counts(pairs: Mapping[str, Pair]) -> str:
     """Seeds of both arms on each task."""
-    return "n = " + ", ".join(f"{len(ours)} + {len(theirs)}" for ours, theirs in pairs.values())
+    counts = [f"{env} {len(ours)} + {len(theirs)}" for env, (ours, theirs) in pairs.items()]
+    return f"n = {', '.join(counts)}"

@@ -42,7 +42,7 @@ def forest(plan: Plan) -> dict[str, dict[str, statistics.Estimate]]:
     groups = {}
     for comparison in claims.comparisons(plan):
         if pairs := comparison.pairs(plan):
-            groups[comparison.text] = comparison.effects(pairs)
+            groups[f"claim: {comparison.text}"] = comparison.effects(pairs)
     return groups
 
 

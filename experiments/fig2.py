@@ -108,8 +108,8 @@ def section(plan: Plan) -> str:
         f"Pendulum, M = 10, n = {len(found)} seeds: thin lines, and their median, thick; runs of "
         f"{config.steps:,} steps, with an evaluation of {config.evaluation_episodes} episodes from "
         f"the same starts every {every:,.0f}. Actions are in [-1, 1]: a "
-        "spread of 0.02 is 1 % of the range. Grey: the learning phase, in which C3 is judged. Its "
-        "spikes are sought in the second half."
+        "spread of 0.02 is 1 % of the range. Grey: the learning phase, in which C3 is judged on "
+        "the fall of the spread and on the return; its spikes are sought in the second half."
     )
 
 

@@ -21,6 +21,8 @@ STARTS = 100
 START = 5.0  # degrees either side of hanging down, at rest
 BIN = 10  # degrees
 ANGLES = np.arange(0, 180, BIN) + BIN / 2
+LINEAR = 1e-3
+"""A spread up to which the axis of an episode is linear, and logarithmic from there."""
 BINS, EPISODE = "fig3_bins.csv", "fig3_episode.csv"
 
 
@@ -107,7 +109,8 @@ def section(plan: Plan) -> str:
         "either side, a thin line a seed; dashed, where every update moves all heads alike "
         "(gradient `all`): the floor of C4b. Right: "
         f"one episode of seed {FIRST_SEED}, as the paper shows it. 0° is hanging down, ±180° "
-        "upright; actions are in [-1, 1]: a spread of 0.02 is 1 % of the range."
+        "upright, the spread's axis linear below "
+        f"{LINEAR:g}; actions are in [-1, 1]: a spread of 0.02 is 1 % of the range."
     )
 
 
@@ -151,6 +154,7 @@ def draw(bins: Sequence[rows.Row], least: Sequence[rows.Row], episode: Sequence[
     right.plot(time, [row["spread"] for row in episode], color=COLOURS[1])
     right.set(xlabel="step", title=f"One episode, M = 10, seed {FIRST_SEED}")
     right.set_ylabel("spread of the actions", color=COLOURS[1])
+    right.set_yscale("symlog", linthresh=LINEAR)  # one spike would squash the rest
     right.set_ylim(bottom=0)
     angles = right.twinx()
     angles.plot(time, [row["angle"] for row in episode], ".", ms=3, color="0.4")

@@ -42,7 +42,11 @@ def section(plan: Plan) -> str:
     found = {env: of_env for env, of_env in found.items() if of_env}
     if not found:
         return rows.missing(runs(plan))
-    figure = draw_curves({"M = 10": found}, "q_gap_relative", "Q-gap / standard deviation of Q")
+    figure = draw_curves(
+        {env: {"M = 10": curves_of_env} for env, curves_of_env in found.items()},
+        "q_gap_relative",
+        "Q-gap / deviation of Q",
+    )
     for axes in figure.axes:
         axes.set_yscale("log")  # one early spike would squash the rest
     pictures.save(plan, figure, "heads")

@@ -13,15 +13,16 @@ from mapg_jax.runs.whole_file import whole_file
 FILE = "README.md"
 HEAD = """# Results
 
-**Question.** A policy proposes several actions a state, draws one, and learns from the one it drew:
-does that do what the paper says? It has one training run a cell.
+**Question.** The actor of MAPG has M heads: each proposes an action for the state, one, drawn
+uniformly, acts, and it alone learns. Does that do what its paper says? The paper trained once for
+each task and algorithm, a cell of its Table 2.
 
 **Method.** Every cell has the seeds that [the protocol](../experiments/protocol.md), version 2,
 named before the first of them, the same in all: eight or five for the paper's claims, on Humanoid
 six or two. A run has {steps:,} steps, of C3 {short:,} and of C10 {half:,}, and a score over
-{episodes} episodes. Scores are compared by exact permutation tests; a number that each seed has
-(C3, C4a, C7, C8) has Student's interval over seeds, and C2a a bootstrap's. A claim is judged once,
-when all its runs are there.
+{episodes} episodes. Scores are compared by exact permutation tests, P and C2a have a bootstrap's
+interval, a number that each seed has (C3, C4, C8) Student's over seeds, and C7 over rounds of
+timing. A claim is judged once, when all its runs are there.
 
 **Answer.** {answer}
 

@@ -43,7 +43,8 @@ def section(plan: Plan) -> str:
             beside_the_paper(plan).markdown(),
             "A3C acts by samples of its Gaussian, as in training; by its mean: "
             f"{mean_action(plan)}.",
-            "The same scores with their uncertainty over seeds (docs/report.md):",
+            "The same scores with their uncertainty over seeds (docs/report.md). The p of a row is "
+            "its own, corrected for no other; claims are judged above:",
             arms_table(found),
         )
     )

@@ -42,13 +42,25 @@ def digests_of(
     Args:
       leaves: arrays of NumPy, or of JAX on the devices of several hosts.
       by_row: names of those that have a digest for each row.
+
+    Raises:
+      ValueError: if the hosts have different numbers where they should have the same; on all.
     """
     found = [_digests(leaf, leaf.shape, name in by_row) for name, leaf in leaves.items()]
+    if not found:
+        return {}
+    ours = np.concatenate(found)
+    whole = hosts.largest(ours)
+    unlike = hosts.largest(ours.any(axis=1) & (ours != whole).any(axis=1))
+    if unlike.any():
+        names = np.repeat(list(leaves), [len(rows) for rows in found])
+        raise ValueError(
+            f"the hosts differ in {names[unlike][0]}; they must be alike (processors, versions)"
+        )
     ends = np.cumsum([len(rows) for rows in found])[:-1]
-    whole = np.split(hosts.largest(np.concatenate(found)), ends) if found else []
     return {
         name: {"shape": list(leaf.shape), "dtype": str(leaf.dtype), "digest": rows.tobytes().hex()}
-        for (name, leaf), rows in zip(leaves.items(), whole, strict=True)
+        for (name, leaf), rows in zip(leaves.items(), np.split(whole, ends), strict=True)
     }
 
 

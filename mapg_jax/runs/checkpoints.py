@@ -2,9 +2,9 @@
 
 A checkpoint has three parts: `agent`, enough to act and evaluate; `rest`, what else a run needs to
 go on bit for bit; and `host`, its seal: digests of every array, of the configuration, of itself.
-Only the filled slots of the replay are written, if it is saved at all. Leaves are stored under
-their paths in the tree, random keys as their bits; nothing is pickled. Of several hosts each writes
-and reads what its devices hold, of an array that all have the first.
+Only the filled slots of the replay are written, if it is saved at all and lies on one host. Leaves
+are stored under their paths in the tree, random keys as their bits; nothing is pickled. Of several
+hosts each writes and reads what its devices hold; an array that all have they write in slices.
 """
 
 import concurrent.futures
@@ -104,7 +104,7 @@ class Checkpoints:
         """Writes the state and the host's own numbers (JSON).
 
         Raises:
-          OSError: if it cannot be written, as where the disk is full.
+          OSError: if it cannot be written, as where the disk is full or the hosts differ.
         """
         self.begin_to_save(state, host)
         self.wait()
@@ -145,12 +145,14 @@ class Checkpoints:
             writing.result()
 
     def _write(self, step: int, parts: dict[str, dict[str, Any]], host: dict) -> None:
-        digests = {part: digests_of(leaves, self._by_row(leaves)) for part, leaves in parts.items()}
-        record = Record(step, self._config, host, digests)
         saved = {part: ocp.args.StandardSave(leaves) for part, leaves in parts.items()}
-        sealed = {**record._asdict(), "seal": record.seal()}
-        args = ocp.args.Composite(**saved, host=ocp.args.JsonSave(sealed))
         try:
+            digests = {
+                part: digests_of(leaves, self._by_row(leaves)) for part, leaves in parts.items()
+            }
+            record = Record(step, self._config, host, digests)
+            sealed = {**record._asdict(), "seal": record.seal()}
+            args = ocp.args.Composite(**saved, host=ocp.args.JsonSave(sealed))
             self._writer.save(step, args=args, force=True)
         except Exception as error:  # Orbax and TensorStore raise many kinds
             raise OSError(

@@ -1,7 +1,7 @@
 """Devices and hosts of a run: what lies where, and how several processes make it together.
 
-All processes compute the same program, each on its devices, and take every decision together; the
-first of them alone writes the run folder.
+All processes compute the same program, each on its devices, and take every decision together. What
+is small in the run folder the first alone writes; of a checkpoint each writes its part.
 """
 
 import os
@@ -63,7 +63,7 @@ def refuse_idle(trainer: Trainer) -> None:
 
 
 def is_first() -> bool:
-    """Whether this process writes."""
+    """Whether this process writes what is small, and tells the user."""
     return jax.process_index() == 0
 
 
@@ -79,6 +79,25 @@ def by_first(make: Callable[[], Made], find: Callable[[], Made]) -> Made:
         of_first(0)
         raise
     of_first(1)
+    return made
+
+
+def by_all(make: Callable[[], Made], elsewhere: Exception | None = None) -> Made:
+    """What each process makes for itself, asking none of the others; the refusal of one is theirs.
+
+    Args:
+      make: makes it, or raises an exception of that type.
+      elsewhere: what is raised where another process alone was refused; by default a ValueError.
+    """
+    elsewhere = elsewhere or ValueError("another process of this run was refused; see what it says")
+    error = None
+    made: Any = None
+    try:
+        made = make()
+    except type(elsewhere) as ours:
+        error = ours
+    if largest(error is not None):
+        raise error or elsewhere
     return made
 
 

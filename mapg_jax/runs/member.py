@@ -73,17 +73,12 @@ class Member:
 
     def _undamaged(self, shapes: Any, step: int) -> tuple[Any, dict[str, Any]]:
         """A state and the host's numbers; what is damaged on one host is so on all."""
-        error = None
-        loaded: Any = None
+        elsewhere = DamagedError(f"another host finds the checkpoint {step} damaged")
         try:
-            loaded = self.checkpoints.load(shapes, step)
+            return hosts.by_all(lambda: self.checkpoints.load(shapes, step), elsewhere)
         except DamagedError as damage:
-            error = damage
-        if hosts.largest(error is not None):
-            error = error or DamagedError(f"another host finds the checkpoint {step} damaged")
-            self.checkpoints.set_aside(error, step)
-            raise error
-        return loaded
+            self.checkpoints.set_aside(damage, step)
+            raise
 
     def begin_to_save(self, state: Any, seconds: float) -> None:
         """Begins a checkpoint of a plain state, `seconds` into this process's part of the run."""
@@ -130,6 +125,7 @@ class Member:
         path = self.folder.path / "diverged"
         if hosts.is_first():
             shutil.rmtree(path, ignore_errors=True)  # of an earlier process
+        hosts.wait("nothing of an earlier process is left")
         self._checkpoints(path, 1).save(state, {})
 
     def row(

@@ -56,7 +56,7 @@ def fitting(config: Config, devices: int | None = 1) -> Config:
     """
     if not isinstance(config, ReplayConfig):
         return config
-    size = int(hosts.of_first(_largest_replay(config, devices)))
+    size = -int(hosts.largest(-_largest_replay(config, devices)))  # of the host with the least
     if size < config.replay_size:
         wanted = f"{config.replay_size:,}"
         LOG.warning(
@@ -73,7 +73,7 @@ def _largest_replay(config: ReplayConfig, devices: int | None) -> int:
 
     size, available = config.replay_size, available_bytes()
     whole = needed(size)
-    if whole <= available:
+    if whole <= FILLED * available:
         return size
     least = config.shards * math.ceil(max(config.batch_size, config.environments) / config.shards)
     base = needed(least)

@@ -147,7 +147,7 @@ class Run:
         with contextlib.ExitStack() as stack:
             host = this_host(self.trainer.env.backend, self.trainer.layout.devices)
             stack.enter_context(precise())
-            ours = hosts.is_first()  # who writes
+            ours = hosts.is_first()  # who writes what is small
             working = [self.members[k] for k in self._healthy() if ours]
             for lock in self._locks or [member.folder.lock() for member in working]:
                 stack.enter_context(lock)

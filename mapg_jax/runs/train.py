@@ -16,6 +16,7 @@ from mapg_jax.runs.host import this_host
 from mapg_jax.runs.memory import prepare
 from mapg_jax.runs.run import Callback, Event, Run
 from mapg_jax.training.config import Config
+from mapg_jax.training.lockstep import Lockstep
 
 LOG = logging.getLogger(__name__)
 SMALLER = "a smaller --replay-size, fewer --checkpoints-kept or --no-save-replay"
@@ -97,12 +98,10 @@ def begin(config: Config, out: str | os.PathLike | None = None, devices: int | N
     Raises:
       ValueError: if the run cannot be made, before anything is written.
     """
-    program = prepare(config, devices=devices)
-    hosts.refuse_idle(program.trainer)
-    place = pathlib.Path("runs" if out is None else out)
-    disk.refuse_a_full_disk(disk.run_bytes(program.trainer), place, 0, SMALLER)
     if out is None and jax.process_count() > 1:
         raise ValueError("several hosts need --out, a folder that all of them see")
+    place = pathlib.Path("runs" if out is None else out)
+    program = hosts.by_all(lambda: _prepared(config, devices, place, 0, SMALLER))
     folder = hosts.by_first(
         lambda: RunFolder.create(out, config), lambda: RunFolder.open(out or "")
     )
@@ -117,15 +116,13 @@ def take_up(path: str | os.PathLike, steps: int | None = None, devices: int | No
         checkpoint is damaged.
       BlockingIOError: if another process trains it.
     """
-    folder = RunFolder.open(path)
+    folder = hosts.by_all(lambda: RunFolder.open(path))
     # Held until the run has ended: nobody else trains it in between.
     locks = hosts.by_first(lambda: [folder.lock()], lambda: [])
     if steps is not None:
         folder = RunFolder(folder.path, dataclasses.replace(folder.config, steps=steps))
-    program = prepare(folder.config, devices=devices)
-    hosts.refuse_idle(program.trainer)
-    needed, taken = disk.run_bytes(program.trainer), disk.taken_bytes(folder.path)
-    disk.refuse_a_full_disk(needed, folder.path, taken, "another disk: copy the run folder there")
+    taken, remedy = disk.taken_bytes(folder.path), "another disk: copy the run folder there"
+    program = hosts.by_all(lambda: _prepared(folder.config, devices, folder.path, taken, remedy))
     run = Run(program, [folder], locks)
     run.restore()
     if run.turn > run.last_turn:
@@ -140,6 +137,16 @@ def take_up(path: str | os.PathLike, steps: int | None = None, devices: int | No
         if hosts.is_first():
             folder.write_config()
     return run
+
+
+def _prepared(
+    config: Config, devices: int | None, place: pathlib.Path, taken: int, remedy: str
+) -> Lockstep:
+    """The program of a run that this host has the devices, the memory and the disk for."""
+    program = prepare(config, devices=devices)
+    hosts.refuse_idle(program.trainer)
+    disk.refuse_a_full_disk(disk.run_bytes(program.trainer), place, taken, remedy)
+    return program
 
 
 def _finished(run: Run) -> Trained:

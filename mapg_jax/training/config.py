@@ -296,7 +296,7 @@ published ones, one for accelerators, one that ends in seconds. An algorithm tak
 has, and then its own `presets`."""
 
 FITTED = frozenset({"parallel"})
-"""Presets whose replay is smaller where the device has no memory for it."""
+"""Presets whose replay `mapg train` makes smaller where the device has no memory for it."""
 
 
 def presets_of(algorithm: str) -> tuple[str, ...]:

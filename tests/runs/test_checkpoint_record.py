@@ -5,7 +5,7 @@ import hashlib
 import numpy as np
 import pytest
 
-from mapg_jax.runs import checkpoint_record
+from mapg_jax.runs import checkpoint_record, hosts
 
 LEAVES = {
     "rows": np.arange(24, dtype=np.float32).reshape(4, 3, 2),
@@ -59,6 +59,39 @@ def test_a_record_with_another_number_of_digests_does_not_hold():
     assert not checkpoint_record.holds(
         LEAVES["rows"], {**seal, "digest": seal["digest"][: 2 * checkpoint_record.SIZE * 3]}
     )
+
+
+def gathered(monkeypatch, *theirs):
+    """Each time that numbers are gathered, those of another host are there."""
+    left = iter(theirs)
+    monkeypatch.setattr(hosts, "largest", lambda ours: np.maximum(ours, next(left)))
+
+
+def test_rows_on_another_host_are_sealed_with_its_digests(monkeypatch):
+    """Zeros stand for the rows that a host has not."""
+    whole = checkpoint_record.digests_of({"rows": LEAVES["rows"]}, BY_ROW)
+    theirs = checkpoint_record.digests_in(whole["rows"]).copy()
+    ours = np.where(np.arange(4)[:, None] < 2, theirs, 0)
+    theirs[:2] = 0
+    monkeypatch.setattr(checkpoint_record, "_digests", lambda *_: ours.astype(np.uint8))
+    gathered(monkeypatch, theirs, np.zeros(4, bool))
+    assert checkpoint_record.digests_of({"rows": LEAVES["rows"]}, BY_ROW) == whole
+
+
+@pytest.mark.parametrize("larger", [0, 1])
+def test_hosts_that_differ_in_a_bit_seal_nothing(larger, monkeypatch):
+    """Both are told so, whichever has the larger digest."""
+    other = dict(LEAVES, number=np.nextafter(LEAVES["number"], np.float32(4)))
+    digests = [
+        np.concatenate([checkpoint_record.digests_in(x) for x in made.values()])
+        for made in map(checkpoint_record.digests_of, (LEAVES, other))
+    ]
+    first, second = sorted(range(2), key=lambda k: digests[k].tolist())
+    ours, theirs = (first, second) if larger else (second, first)
+    unlike = (digests[theirs] != np.maximum(*digests)).any(axis=1)
+    gathered(monkeypatch, digests[theirs], unlike)
+    with pytest.raises(ValueError, match="the hosts differ in number; they must be alike"):
+        checkpoint_record.digests_of((LEAVES, other)[ours])
 
 
 def test_no_leaves_have_no_digests():

@@ -157,9 +157,26 @@ def test_a_host_without_a_device_of_the_run_is_refused(tmp_path):
 )
 def test_a_run_without_a_device_on_every_host_makes_no_folder(env, remedy, tmp_path, monkeypatch):
     monkeypatch.setattr(jax, "process_count", lambda: 2)
+    monkeypatch.setattr(hosts, "largest", lambda ours: ours)  # the other one's are the same
     with pytest.raises(ValueError, match=f"1 of 2 hosts have one of them; choose {remedy}"):
         begin(Config(env=env, steps=1_000), tmp_path / "run")
     assert not list(tmp_path.iterdir())
+
+
+def test_the_refusal_of_one_is_that_of_all(monkeypatch):
+    def refused():
+        raise KeyError("ours")
+
+    assert hosts.by_all(lambda: 3) == 3
+    with pytest.raises(KeyError, match="ours"):
+        hosts.by_all(refused, KeyError("theirs"))
+    monkeypatch.setattr(hosts, "largest", lambda ours: True)  # another is refused
+    with pytest.raises(ValueError, match="another process of this run was refused"):
+        hosts.by_all(lambda: 3)
+    with pytest.raises(KeyError, match="theirs"):
+        hosts.by_all(lambda: 3, KeyError("theirs"))
+    with pytest.raises(KeyError, match="ours"):
+        hosts.by_all(refused, KeyError("theirs"))
 
 
 @pytest.mark.parametrize("address", ["localhost", "localhost:", ":1234", "localhost:http"])

@@ -5,7 +5,7 @@ import dataclasses
 import jax
 import pytest
 
-from mapg_jax.runs import memory
+from mapg_jax.runs import hosts, memory
 from mapg_jax.runs.train import begin
 from mapg_jax.training.config import Config
 from mapg_jax.training.layout import Layout
@@ -70,6 +70,29 @@ def test_a_replay_is_made_to_fit(monkeypatch, caplog):
     needed = memory.needed_bytes(Lockstep([fitted]))
     assert needed == pytest.approx(memory.FILLED * 100e6, rel=1e-3)
     assert memory.fitting(fitted) == fitted
+
+
+def test_a_replay_that_fills_more_than_its_share_is_made_to_fit_too(monkeypatch):
+    config = Config(env="pendulum", replay_size=100_000)
+    needed = memory.needed_bytes(Lockstep([config]))
+    monkeypatch.setattr(memory, "available_bytes", lambda: needed / 0.79)
+    assert memory.fitting(config) == config
+    monkeypatch.setattr(memory, "available_bytes", lambda: needed / 0.9)
+    memory.prepare(config)
+    smaller = memory.fitting(config)
+    assert smaller.replay_size < config.replay_size
+    needed_now = memory.needed_bytes(Lockstep([smaller]))
+    assert needed_now == pytest.approx(memory.FILLED / 0.9 * needed, rel=1e-3)
+
+
+def test_of_several_hosts_the_replay_fits_the_one_with_the_least_memory(monkeypatch):
+    config = Config(env="pendulum", replay_size=4_000_000)
+    monkeypatch.setattr(memory, "available_bytes", lambda: 100_000_000)
+    of_the_least = memory.fitting(config).replay_size
+    monkeypatch.setattr(memory, "available_bytes", lambda: 200_000_000)
+    gathered = iter([-of_the_least])
+    monkeypatch.setattr(hosts, "largest", lambda ours: max(ours, next(gathered)))
+    assert memory.fitting(config).replay_size == of_the_least
 
 
 def test_a_replay_that_fits_stays_and_one_that_never_would_is_refused(monkeypatch):
