@@ -15,7 +15,7 @@ from mapg_jax.algorithms import heads as heads_
 from mapg_jax.algorithms import twin_critics
 from mapg_jax.algorithms.base import Transition
 from mapg_jax.algorithms.descent import Params, minimize, towards
-from mapg_jax.algorithms.deterministic import Deterministic, LearnerState, UpdateMetrics
+from mapg_jax.algorithms.deterministic import Deterministic, LearnerState, Strength, UpdateMetrics
 from mapg_jax.algorithms.exploration import Noise
 from mapg_jax.algorithms.head_options import DIVERSE, HeadNumbers, HeadOptions
 from mapg_jax.algorithms.options import option
@@ -144,35 +144,11 @@ class Td3(Deterministic):
             hyper.critic_learning_rate,
         )
         strength = self.strength(learner, hyper, batch.observation)
-
-        def climb(networks: Networks):
-            actor = minimize(
-                lambda params: (
-                    self.actor_loss(params, critic.params, batch, hyper, strength, head_key),
-                    None,
-                ),
-                self.optimizer,
-                networks.actor,
-                networks.actor_optimizer,
-                hyper.actor_learning_rate,
-            )
-            moved = Networks(
-                actor=actor.params,
-                actor_target=towards(networks.actor_target, actor.params, hyper.tau),
-                critic_target=towards(networks.critic_target, critic.params, hyper.tau),
-                actor_optimizer=actor.optimizer,
-            )
-            # Metrics are averaged over all updates: those that move the actor count for the others.
-            return moved, hyper.policy_delay * actor.loss, hyper.policy_delay * actor.gradient_norm
-
-        def wait(networks: Networks):
-            return networks, jnp.zeros(()), jnp.zeros(())
-
         updates = learner.updates + 1
         networks, actor_loss, actor_gradient_norm = jax.lax.cond(
             updates % hyper.policy_delay == 0,
-            climb,
-            wait,
+            lambda networks: self._climb(networks, critic.params, batch, hyper, strength, head_key),
+            lambda networks: (networks, jnp.zeros(()), jnp.zeros(())),
             Networks(*(getattr(learner, name) for name in Networks._fields)),
         )
         updated = LearnerState(
@@ -189,3 +165,32 @@ class Td3(Deterministic):
             actor_gradient_norm=actor_gradient_norm,
         )
         return updated, metrics
+
+    def _climb(
+        self,
+        networks: Networks,
+        critic: Params,
+        batch: Transition,
+        hyper: Hyperparameters,
+        strength: Strength,
+        key: PRNGKeyArray,
+    ) -> tuple[Networks, Float[Array, ""], Float[Array, ""]]:
+        """The actor and the targets, moved; the actor's loss, and the norm of its gradient."""
+        actor = minimize(
+            lambda params: (
+                self.actor_loss(params, critic, batch, hyper, strength, key),
+                None,
+            ),
+            self.optimizer,
+            networks.actor,
+            networks.actor_optimizer,
+            hyper.actor_learning_rate,
+        )
+        moved = Networks(
+            actor=actor.params,
+            actor_target=towards(networks.actor_target, actor.params, hyper.tau),
+            critic_target=towards(networks.critic_target, critic, hyper.tau),
+            actor_optimizer=actor.optimizer,
+        )
+        # Metrics are averaged over all updates: those that move the actor count for the others.
+        return moved, hyper.policy_delay * actor.loss, hyper.policy_delay * actor.gradient_norm
