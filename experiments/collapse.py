@@ -67,7 +67,7 @@ def draw(tasks):
     figure.set_size_inches(10, 11)
     limits = np.array([axes.dataLim.intervaly for axes in figure.axes])
     for axes in figure.axes:
-        axes.set(yscale="log", ylim=(limits[:, 0].min(), limits[:, 1].max()))
+        axes.set(yscale="log", ylim=(limits[:, 0].min() / 1.2, 1.2 * limits[:, 1].max()))
     return figure
 
 
