@@ -2,9 +2,9 @@
 
 A checkpoint has three parts: `agent`, enough to act and evaluate; `rest`, what else a run needs to
 go on bit for bit; and `host`, its seal: digests of every array, of the configuration, of itself.
-Only the filled slots of the replay are written, if it is saved at all and lies on one host. Leaves
-are stored under their paths in the tree, random keys as their bits; nothing is pickled. Of several
-hosts each writes and reads what its devices hold; an array that all have they write in slices.
+Of the replay, if it is saved at all, one host writes the filled slots alone. Leaves are stored
+under their paths in the tree, random keys as their bits; nothing is pickled. Of several hosts each
+writes and reads what its devices hold, filled or not; an array that all have they write in slices.
 """
 
 import concurrent.futures
