@@ -53,11 +53,13 @@ def test_what_keeping_heads_apart_costs_is_compared_once_every_task_has_both_arm
     add("pendulum", "diverse", [3, 4])
     text = several.section(plan)
     line = next(x for x in text.splitlines() if x.startswith("| DDPG |"))
-    cells = [cell.split(" ")[0] for cell in line.strip("| ").split(" | ")]
-    # `diverse` is above in 12 of 16 pairs: of the 6⁴ = 1296 ways to rank two of four on each of
-    # four tasks, those with as many or more.
+    cells = line.strip("| ").split(" | ")[1:]
+    assert [cell.split(" ")[0] for cell in cells] == ["0.00", "1.00", "1.00", "1.00", "0.75"]
+    # All four pairs of a task go one way in two of the 6 ways to rank two of four. Over four tasks
+    # `diverse` is above in 12 of 16: of the 6⁴ = 1296 ways, those with as many or more.
     tails = sum(_ways(4, 16 - lost) for lost in range(5))
-    assert cells == ["DDPG", "0.00", "1.00", "1.00", "1.00", "0.75", f"{2 * tails / 1296:.2g}"]
+    p = [*4 * [f"{2 / 6:.2g}"], f"{2 * tails / 1296:.2g}"]
+    assert [cell.split(", p = ")[1] for cell in cells] == p
     assert "| M = 10 | 0" not in text
 
 
