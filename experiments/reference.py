@@ -31,8 +31,10 @@ CELLS = (
     Cell("trpo", "hopper", 1_000_000, 2, 1_500, "2,046 ± 1,038, Tianshou"),
     Cell("ppo", "walker2d", 1_000_000, 2, 1_500, "2,288 ± 572, CleanRL"),
     Cell("trpo", "walker2d", 1_000_000, 2, 1_500, "3,827 ± 783, Tianshou"),
+    Cell("mapg", "halfcheetah", 300_000, 2, 4_000, "10,374 ± 157, CleanRL"),
     Cell("td3", "halfcheetah", 300_000, 2, 4_000, "9,583 ± 126, CleanRL"),
     Cell("sac", "halfcheetah", 300_000, 2, 4_000, "9,635 ± 1,424, CleanRL"),
+    Cell("mapg", "hopper", 300_000, 2, 600, "1,577 ± 819, CleanRL"),
     Cell("td3", "hopper", 300_000, 2, 1_000, "3,135 ± 360, CleanRL"),
     Cell("sac", "hopper", 300_000, 2, 1_000, "2,310 ± 343, CleanRL"),
 )
@@ -81,7 +83,9 @@ def section(plan: Plan) -> str:
         "uniformly in evaluation. Scores are means over seeds of 100 episodes of the last policy, "
         "with 95 % intervals where there are seeds for them. What M = 1 should reach at least was "
         "fixed before the first run. The published scores are of 1,000,000 steps and of earlier "
-        "versions of the tasks; Tianshou's are the best over time.\n\n" + table(plan).markdown()
+        "versions of the tasks; Tianshou's are the best over time. On Hopper a policy that stands "
+        "earns about 1,000: a score near that has met its threshold and learnt little.\n\n"
+        + table(plan).markdown()
     )
 
 

@@ -45,6 +45,29 @@ class OnPolicyOptions(Options):
         3e-3, "The biases of the heads' means start within ± this.", above=0, of_heads=True
     )
 
+    @property
+    def batches(self) -> int:
+        """How many a rollout is cut into, with an update each."""
+        return 1
+
+    def __post_init__(self):
+        super().__post_init__()
+        environments = getattr(self, "environments", None)
+        if environments is None:
+            return  # of no run yet
+        steps = self.rollout_steps * environments // getattr(self, "shards", 1)
+        rollout = f"a rollout of {steps} steps, {self.rollout_steps} of each environment,"
+        if steps % self.batches:
+            raise ValueError(
+                f"{rollout} cannot be cut into {self.batches} minibatches; "
+                "their number must divide it"
+            )
+        if steps < 2 * self.batches:
+            raise ValueError(
+                f"{rollout} must have {2 * self.batches} or more, two for each update, because "
+                "an advantage is scaled by the others of its batch"
+            )
+
 
 class LearnerState(struct.PyTreeNode):
     """All that an update changes."""

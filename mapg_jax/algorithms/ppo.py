@@ -41,13 +41,11 @@ class PpoOptions(OnPolicyOptions):
     def __post_init__(self):
         super().__post_init__()
         self._refuse_to_learn_at_zero()
-        environments = getattr(self, "environments", self.minibatches)
-        steps = self.rollout_steps * environments // getattr(self, "shards", 1)
-        if steps % self.minibatches:
-            raise ValueError(
-                f"a rollout of {steps} steps, {self.rollout_steps} of each environment, cannot be "
-                f"cut into {self.minibatches} minibatches; their number must divide it"
-            )
+
+    @property
+    def batches(self) -> int:
+        """A minibatch is one."""
+        return self.minibatches
 
     def _refuse_to_learn_at_zero(self):
         """Raises ValueError if the learning rates are 0 before the run ends."""
@@ -57,7 +55,8 @@ class PpoOptions(OnPolicyOptions):
         if 0 < self.annealing_updates < updates:
             raise ValueError(
                 f"annealing_updates must be 0 or at least {updates}, the updates of {steps:,} "
-                f"steps; got {self.annealing_updates}, after which the learning rates are 0"
+                f"steps; got {self.annealing_updates}, after which the learning rates are 0 and a "
+                "run cannot go on"
             )
 
 

@@ -293,7 +293,7 @@ class Sac:
         r"""One update of critics, actor, temperature and targets.
 
         $\log \alpha$ steps down $-\log \alpha\, (\overline{\log \pi} + \bar H)$ (SAC, Eq. 18, as
-        its code has it).
+        the authors' code has it).
 
         Args:
           learner: its state.

@@ -303,6 +303,27 @@ def test_the_heads_divergence_is_the_closed_form_and_bounds_the_mixtures():
     assert 0 < mixture < found
 
 
+@pytest.mark.parametrize(
+    ("kind", "options", "gradient"),
+    [(Ppo, PPO, "marginal"), (Trpo, TRPO, "stored")],
+)
+def test_padding_heads_learns_the_same(kind, options, gradient):
+    """M = 3 padded to 5: the heads in use and the critic agree after an update."""
+    made = dataclasses.replace(options, heads=3, gradient=gradient)
+    _, _, hyper, given = setup(kind, made)
+    found = []
+    for size in (3, 5):
+        algorithm, learner, *_ = setup(kind, dataclasses.replace(made, heads=size))
+        found.append(jax.jit(algorithm.update)(learner, hyper, given, jax.random.key(5))[0])
+    plain, padded = found
+
+    def same(x, y):
+        y = y[tuple(map(slice, x.shape))]
+        np.testing.assert_allclose(y, x, rtol=1e-3, atol=2e-6)
+
+    jax.tree.map(same, (plain.actor, plain.critic), (padded.actor, padded.critic))
+
+
 def test_no_step_is_taken_where_none_is_good():
     """A direction downhill: the search gives up, and the actor stays to the last bit."""
     algorithm, learner, hyper, given = setup(Trpo, TRPO)
@@ -318,3 +339,18 @@ def test_no_step_is_taken_where_none_is_good():
 def test_a_rollout_that_its_minibatches_do_not_divide_is_refused():
     with pytest.raises(ValueError, match=r"640 steps.*cannot be cut into 48 minibatches"):
         Config(algorithm="ppo", environments=16, rollout_steps=40, minibatches=48)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"algorithm": "ppo", "environments": 4, "rollout_steps": 8, "minibatches": 32},
+        {"algorithm": "trpo", "environments": 1, "rollout_steps": 1},
+    ],
+)
+def test_a_batch_of_one_step_is_refused(options):
+    """Its advantage, scaled by itself, is 0: the actor would stand still."""
+    least = 2 * options.get("minibatches", 1)
+    with pytest.raises(ValueError, match=f"must have {least} or more, two for each update"):
+        Config(**options)
+    Config(**{**options, "rollout_steps": 2 * options["rollout_steps"]})

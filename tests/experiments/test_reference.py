@@ -23,7 +23,7 @@ def write(plan, cell, m, values):
 
 def test_plain_algorithms_come_first_and_are_named_by_their_preset(plan):
     wanted = reference.runs(plan)
-    assert [config.heads for config in wanted] == [1] * 21 + [10] * 21
+    assert [config.heads for config in wanted] == [1] * 25 + [10] * 25
     assert len({name(config, plan) for config in wanted}) == len(wanted)
     assert name(wanted[0], plan) == "pendulum-naf-reference-m1-30000-s2000"
     assert wanted[0].hidden == (200, 200) and not wanted[0].layer_norm
@@ -41,7 +41,7 @@ def test_the_mean_over_seeds_is_what_must_reach(plan):
     rows.append(plan.measured / rows.DIVERGED, lost)
     lines = reference.table(plan).markdown().splitlines()[2:]
     found = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
-    assert [cells[5] for cells in found] == ["yes", "yes", "**no**, 1 of 2 seeds", *[""] * 6]
+    assert [cells[5] for cells in found] == ["yes", "yes", "**no**, 1 of 2 seeds", *[""] * 8]
     many = ["all 5 diverged", "missing", "1600 (no interval), n = 1; 1 diverged"]
     assert [cells[6] for cells in found[:3]] == many
 
