@@ -84,7 +84,7 @@ def section(plan: Plan) -> str:
             "P of M = 10 over M = 1, by task and, once all of them are there, over the tasks "
             "together (diamond), with 95 % intervals over seeds; beside the task n of either arm. "
             "The dashed line is ½: neither does better. An interval of no width only means "
-            "that all pairs agree."
+            "that all pairs agree; a hollow dot has none, for an arm has fewer than three seeds."
         )
     return f"{text}\n\n{score_table(plan).markdown()}"
 

@@ -5,8 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments import curves, scores, table2
+from experiments import curves, rows, scores, table2
 from experiments.plan import Plan
+from experiments.table2 import Pair
 from experiments.verdicts import CONTRADICTED, SUPPORTED, UNDECIDED, Verdict, undecidable, waiting
 from mapg_jax.reports.inference import Estimate
 from mapg_jax.reports.plots import TOGETHER
@@ -15,8 +16,6 @@ from mapg_jax.training.config import Config
 
 ALPHA = 0.05
 Changes = Mapping[str, Any]
-Pair = tuple[np.ndarray, np.ndarray]
-"""Scores of our arm and of theirs on one task."""
 Score = Callable[[Plan, Sequence[Config]], np.ndarray]
 
 
@@ -38,6 +37,15 @@ class Comparison(NamedTuple):
         """All that it is judged on."""
         arms = (self.ours, self.theirs)
         return [c for env in self.envs for arm in arms for c in plan.over_seeds(env, **arm)]
+
+    def missing(self, plan: Plan) -> str:
+        """How many of its runs are, task by task."""
+        left = {}
+        for env in self.envs:
+            of_env = self._replace(envs=[env]).runs(plan)
+            if count := len(rows.keys(of_env)) - len(scores.of(plan, of_env)):
+                left[env] = count
+        return ", ".join(f"{env} {count}" for env, count in left.items())
 
     def pairs(self, plan: Plan, score: Score = scores.means) -> dict[str, Pair]:
         """By task; one that lacks an arm is left out."""
@@ -73,7 +81,7 @@ def judge(plan: Plan, comparison: Comparison) -> list[Verdict]:
     texts = f"{comparison.text}, over the tasks together", f"{comparison.text}, on every task"
     left = waiting(plan, comparison.runs(plan))
     if set(pairs) != set(comparison.envs):
-        missing = f"missing: {', '.join(env for env in comparison.envs if env not in pairs)}"
+        missing = f"runs missing: {comparison.missing(plan)}"
         verdict = left or undecidable(0)
         return [
             Verdict(claim, text, verdict, evidence=missing)

@@ -29,7 +29,9 @@ def section(plan: Plan) -> str:
         "P of the first named arm over the second, by task and, once all of them are there, over "
         "the tasks together (diamond; weighed as van Elteren's test weighs them), with 95 % "
         "intervals over seeds; n of both arms stands beside the task. The dashed line is ½: "
-        "neither arm is the better one. Tasks that lack an arm are left out.\n\n"
+        "neither arm is the better one; the claimed side is the right one, of C9 the left one. An "
+        "interval of no width only means that all pairs agree. Tasks that lack an arm are left "
+        "out.\n\n"
         "![Performance profiles](profiles.png)\n\n"
         "The share of an arm's runs that score above x. A curve further right is better; n seeds."
     )
@@ -42,7 +44,9 @@ def forest(plan: Plan) -> dict[str, dict[str, statistics.Estimate]]:
     groups = {}
     for comparison in claims.comparisons(plan):
         if pairs := comparison.pairs(plan):
-            groups[f"claim: {comparison.text}"] = comparison.effects(pairs)
+            names = dict.fromkeys(name.split()[0] for name in comparison.claims)
+            title = f"{', '.join(names)}: {comparison.text}"
+            groups[title] = comparison.effects(pairs)
     return groups
 
 

@@ -8,6 +8,7 @@ from experiments import carryover, claims, fig2, reference, rows, scores, table2
 from experiments.catalogue import TITLES, Name, experiment, runs
 from experiments.plan import FIRST_SEED, Plan, is_the_papers
 from mapg_jax.reports.document import Table
+from mapg_jax.reports.results import Result
 from mapg_jax.runs.whole_file import whole_file
 
 FILE = "README.md"
@@ -21,15 +22,15 @@ each task and algorithm, a cell of its Table 2.
 named before the first of them, the same in all: eight or five for the paper's claims, on Humanoid
 six or two. A run has {steps:,} steps, of C3 {short:,} and of C10 {half:,}, and a score over
 {episodes} episodes. Scores are compared by exact permutation tests, P and C2a have a bootstrap's
-interval, a number that each seed has (C3, C4, C8) Student's over seeds, and C7 over rounds of
+interval, a number that each seed has (C3, C4, C6, C8) Student's over seeds, and C7 over rounds of
 timing. A claim is judged once, when all its runs are there.
 
 **Answer.** {answer}
 
 **Limits.** {done} of {wanted} runs are there. Tasks are Gymnasium's v5, not the v1 of 2017; driving
-stands in for TORCS; that scores are equal is never concluded, and power is printed where nothing is
-decided. [Version 1](version_1/README.md) is kept apart. `make results` makes this page from
-[scores.csv](scores.csv) and what else was measured, in `measured`."""
+stands in for TORCS. That scores are equal is never concluded. Where a claim of two arms is
+undecided, power is printed. [Version 1](version_1/README.md) is kept apart. `make results` makes
+this page from [scores.csv](scores.csv) and what else was measured, in `measured`."""
 
 
 def sections(plan: Plan) -> dict[Name, str]:
@@ -57,13 +58,16 @@ def write(plan: Plan, sections: Mapping[Name, str]) -> pathlib.Path:
 
 
 def answer(plan: Plan) -> str:
-    """The claims by their verdicts, in a sentence."""
+    """The claims by their verdicts: in words where there is one."""
     by_verdict: dict[str, list[str]] = {}
     for verdict in claims.ledger(plan):
-        kind = "not yet judged" if verdict.verdict.startswith("not yet") else verdict.verdict
-        by_verdict.setdefault(kind, []).append(verdict.claim)
-    text = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in by_verdict.items())
-    return f"{text[0].upper()}{text[1:]}."
+        waits = verdict.verdict.startswith("not yet")
+        kind = "not yet judged" if waits else verdict.verdict
+        shown = verdict.claim if waits else f"{verdict.text} ({verdict.claim})"
+        by_verdict.setdefault(kind, []).append(shown)
+    waiting = by_verdict.pop("not yet judged", [])
+    sentences = [f"{kind.capitalize()}: {'; '.join(of)}." for kind, of in by_verdict.items()]
+    return " ".join([*sentences, *([f"Not yet judged: {', '.join(waiting)}."] if waiting else [])])
 
 
 def abstract(plan: Plan) -> str:
@@ -91,6 +95,7 @@ def earlier(plan: Plan) -> str:
         "## Version 1\n\nBy its own rules, on its own seeds (0 to 9); all of it is "
         "[kept](version_1/README.md) as it was recorded.\n\n"
         + Table(("", "claim", "evidence", "verdict"), lines).markdown()
+        + f"\n\nMade by `mapg paper all{plan.flags}` from [{claims.EARLIER}]({claims.EARLIER})."
     )
 
 
@@ -137,11 +142,17 @@ def provenance(plan: Plan, name: Name) -> str:
     versions = " and ".join(sorted({result.versions for result in found}))
     until = f" to {days[-1]}" if len(days) > 1 else ""
     steps = " or ".join(f"{n:,}" for n in sorted({result.steps for result in found}))
-    counts = collections.Counter(result.processor for result in found)
-    machines = " and ".join(sorted(counts))
+    counts = collections.Counter(_machine(result) for result in found)
+    machines = next(iter(counts))
     if len(counts) > 1:
-        machines = " and ".join(f"{name} ({count} runs)" for name, count in sorted(counts.items()))
+        machines = ", ".join(f"{count} on {machine}" for machine, count in sorted(counts.items()))
     return f"{text}, {steps} steps each; {versions}; {machines}; {days[0]}{until}."
+
+
+def _machine(result: Result) -> str:
+    """Its processor, and the last of the instructions that are recorded: bits differ by them."""
+    newest = result.instructions.split()[-1:]
+    return f"{result.processor} ({newest[0]})" if newest else result.processor
 
 
 def diverged(plan: Plan) -> str:
@@ -151,4 +162,5 @@ def diverged(plan: Plan) -> str:
         f"{', ' + row['settings'] if row['settings'] else ''}: {row['reason']}"
         for row in rows.read(plan.measured / rows.DIVERGED)
     ]
-    return "\n".join(["## Diverged", "", *(lines or ["No run has diverged."])])
+    text = "\n".join(["## Diverged", "", *(lines or ["No run has diverged."])])
+    return f"{text}\n\nMade by `mapg paper all{plan.flags}`, whose runs these are."

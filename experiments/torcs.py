@@ -35,8 +35,9 @@ def section(plan: Plan) -> str:
     return Table(HEADER, lines).markdown() + (
         f"\n\nMeans of {plan.base.final_episodes} episodes, each of at most "
         f"{DRIVING['time_limit']} steps (200 s), on `speedway` (1996 m; {options}: docs/driving.md "
-        "says how they were chosen); in the bold lines the mean over n seeds, with its 95 % "
-        "interval. The paper drove another track in TORCS: compare the signs, not the metres."
+        "says how they were chosen); in the bold lines the mean over n seeds, with "
+        "Student's 95 % interval. The paper drove another track in TORCS: compare the signs, not "
+        "the metres."
     )
 
 
@@ -56,8 +57,8 @@ def _mean(label: str, found: Sequence[Result]) -> list[str]:
     if not found:
         return [f"**{label}**", "", "missing", "", "", "", str(PAPER[label])]
     columns = [[r.metrics[c] for r in found] for c in ("distance_mean", "laps_mean", "lap_share")]
-    distance, laps, share = map(statistics.mean, columns)
-    score = statistics.mean([result.return_mean for result in found])
+    distance, laps, share = map(statistics.student, columns)
+    score = statistics.student([result.return_mean for result in found])
     return [
         f"**{label}**",
         f"n = {len(found)}",

@@ -130,7 +130,7 @@ def draw_boxes(
 def draw_forest(
     groups: Mapping[str, Mapping[str, statistics.Estimate]], label: str, null: float = 0.5
 ) -> "Figure":
-    """A panel a comparison, a line a task: estimate and interval.
+    """A panel a comparison, a line a task: estimate and interval; hollow where there is none.
 
     Args:
       groups: by comparison and task; what is of the tasks TOGETHER is drawn as a diamond.
@@ -146,7 +146,8 @@ def draw_forest(
         for place, (name, estimate) in enumerate(estimates.items()):
             colour, marker = (COLOURS[2], "D") if name == TOGETHER else (COLOURS[1], "o")
             axes.plot([estimate.low, estimate.high], [place, place], color=colour, linewidth=1.5)
-            axes.plot(estimate.value, place, marker, color=colour, markersize=6)
+            filled = "full" if np.isfinite(estimate.low) else "none"
+            axes.plot(estimate.value, place, marker, color=colour, markersize=6, fillstyle=filled)
         axes.set_yticks(range(len(estimates)), list(estimates))
         axes.set_ylim(len(estimates) - 0.5, -0.5)
         axes.axvline(null, color="0.4", linestyle="--", linewidth=1)

@@ -2,7 +2,7 @@
 
 import os
 import pathlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -74,17 +74,6 @@ def gather(paths: Sequence[str | os.PathLike]) -> Runs:
         where = ", ".join(map(str, paths))
         raise ValueError(f"no run in {where} is finished ({len(unfinished)} are not)")
     return Runs(merge(results), curves, list(unfinished.values()))
-
-
-def arms_table(results: Iterable[Result]) -> str:
-    """The tables of scores as Markdown, one for each protocol, with what follows of over tasks."""
-    blocks: list[Block] = []
-    groups = separate(results)
-    for protocol, of_protocol in groups.items():
-        if len(groups) > 1:
-            blocks.append(Paragraph(f"{describe(protocol)}:"))
-        blocks += tables(of_protocol)
-    return markdown(blocks).rstrip()
 
 
 def describe(protocol: Protocol) -> str:

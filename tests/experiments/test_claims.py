@@ -42,7 +42,7 @@ def test_a_claim_waits_for_every_run_of_every_task(plan):
     for env in plan.tasks[:-1]:
         write(plan, env, MAPG, spread(100))
     assert verdicts(plan, "C1a") == ["not yet: 45 of 50 runs"] * 2
-    assert both(plan, "C1a")[0].evidence == "missing: swimmer"
+    assert both(plan, "C1a")[0].evidence == "runs missing: swimmer 5"
     write(plan, plan.tasks[-1], MAPG, spread(100, 4))
     assert verdicts(plan, "C1a") == ["not yet: 49 of 50 runs"] * 2
     diverged = plan.config(plan.tasks[-1], FIRST_SEED + 4, **MAPG)

@@ -5,12 +5,13 @@ import shutil
 
 import oracles
 import pytest
-from written import result, write, write_laps
+from written import result, write, write_curve, write_laps
 
 from experiments import (
     boxes,
     curves,
     effects,
+    fig4,
     heads,
     overhead,
     page,
@@ -18,9 +19,10 @@ from experiments import (
     repeats,
     rows,
     scores,
+    table2,
 )
 from experiments.catalogue import TITLES, runs
-from experiments.plan import A3C, DDPG, MAPG, make_plan
+from experiments.plan import A3C, DDPG, FIRST_SEED, MAPG, NO_NOISE, make_plan
 from mapg_jax.reports import inference as statistics
 from mapg_jax.reports import plots
 from mapg_jax.reports.results_csv import append_csv
@@ -44,6 +46,25 @@ def test_table_2_stands_beside_the_papers_numbers(plan):
     assert "version 1" not in text
     assert "| | the paper | 603 ± 76 | 532 ± 105 |" in text
     assert "`mapg paper table2 --steps 1600`: 4 of 164 runs finished" in text
+
+
+def test_table_2_has_both_scores_with_their_tests(plan):
+    """Three above three: p is 2 / C(6, 3) by the score; by the second score they tie."""
+    arms = {"DDPG": DDPG, "A3C": A3C}
+    for scale, changes in zip((100, 200), arms.values(), strict=True):
+        write(plan, "hopper", changes, [scale, scale + 1, scale + 2])
+        for config in plan.over_seeds("hopper", **changes)[:3]:
+            write_curve(plan, config, return_mean=[900.0, *[float(config.seed)] * curves.LATE])
+    lines = {row[1]: row for row in table2.uncertainty(plan).rows}
+    assert list(lines) == list(arms)
+    low, high = FIRST_SEED, FIRST_SEED + 2
+    late = f"{low + 1:,} ({low:,} to {high:,})"
+    assert lines["DDPG"] == ["hopper", "DDPG", "3", "101 (100 to 102)", "", "", late, "", ""]
+    score = ["201 (200 to 202)", "1.00 (1.00 to 1.00)", "0.1"]
+    assert lines["A3C"][2:7] == ["3", *score, late] and lines["A3C"][7].startswith("0.50 (")
+    assert lines["A3C"][8] == "1"
+    (over,) = table2.over_tasks(plan).rows
+    assert over == ["A3C", "hopper", *lines["A3C"][4:6], *lines["A3C"][7:]]
 
 
 @pytest.mark.parametrize(("name", "env"), [("fig1", "walker2d"), ("fig5", "swimmer")])
@@ -71,6 +92,21 @@ def test_noise_and_rules_have_the_interval_of_the_protocol(plan):
     """The percentile bootstrap, which cannot leave the range of the scores."""
     write(plan, "halfcheetah", MAPG, [1, 2, 6])
     assert "| halfcheetah | 3 (1 to 6), n = 3 | missing |" in heads.rule_table(plan).markdown()
+
+
+def test_figure_4_has_a_panel_for_either_noise_and_an_axis_a_task(plan):
+    for changes, value in ((DDPG, 1.0), ({**MAPG, **NO_NOISE}, 90.0)):
+        config = plan.config("halfcheetah", FIRST_SEED, **changes)
+        write_curve(plan, config, return_mean=[0.0, value])
+    found = fig4.panels(plan)
+    assert {title: list(arms) for title, arms in found.items()} == {
+        "halfcheetah, with noise": ["DDPG"],
+        "halfcheetah, without noise": ["M = 10"],
+    }
+    (curve,) = found["halfcheetah, without noise"]["M = 10"]
+    assert list(curve["return_mean"]) == [0, 90]
+    one, other = (axes.get_ylim() for axes in fig4.draw(found).axes)
+    assert one == other and one[1] > 90
 
 
 def test_overhead_is_relative_to_one_head(plan):

@@ -150,9 +150,8 @@ def test_protocols_are_never_in_one_table():
     few = {("hopper", 1): [10.0, 12.0], ("hopper", 10): [20.0]}
     ours = results(few)
     others = results(few, steps=2000) + results(few, versions="gymnasium 2.0, mujoco 4.0")
-    text, alone = report.arms_table(ours + others), report.arms_table(ours)
-    assert "environment steps" not in alone
-    assert text.count(alone) == 3
+    text = markdown(report.compose(report.Runs(ours + others, {}, [])), pictures=False)
+    assert text.count(markdown(tables.tables(ours)).rstrip()) == 3
     for said in ("1,000 environment steps", "2,000 environment steps", "gymnasium 2.0"):
         assert said in text
 
@@ -335,6 +334,13 @@ def test_boxes_have_a_dot_a_seed_and_name_what_is_missing():
     assert [line.get_ydata()[0] for line in medians] == [
         2.5
     ]  # of eight episodes; not of two scores
+
+
+def test_a_forest_has_a_hollow_dot_where_there_is_no_interval():
+    sure, alone = statistics.Estimate(0.6, 0.5, 0.7), statistics.Estimate(0.4, np.nan, np.nan)
+    (axes,) = plotting.draw_forest({"C1": {"hopper": sure, "swimmer": alone}}, "P").axes
+    dots = {line.get_xdata()[0]: line for line in axes.lines if line.get_marker() == "o"}
+    assert {x: line.get_fillstyle() for x, line in dots.items()} == {0.6: "full", 0.4: "none"}
 
 
 def test_nothing_to_draw_is_refused():
