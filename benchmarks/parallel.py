@@ -37,6 +37,8 @@ PRESETS = ("paper", "parallel")
 HEADER = (
     "task", "algorithm", "preset", "seed", "seconds", "env_steps", "return_mean", "lap_share"
 )  # fmt: skip
+MINUTES = (2, 5, 10)
+"""After which runs are compared; the last is when they are stopped."""
 DRIVING = "--env-options control_hz=10 start=anywhere --time-limit 2000"
 
 
@@ -48,13 +50,11 @@ class Task(NamedTuple):
     algorithms: tuple[str, ...]
     evaluate_every: Mapping[str, int]
     """Environment steps, by preset: every half a minute or so."""
-    minutes: tuple[int, int, int] = (2, 5, 10)
-    """After which runs are compared; the last is when they are stopped."""
 
 
 TASKS = {
     "driving": Task(DRIVING, 1024, ("mapg", "ppo"), {"paper": 50_000, "parallel": 500_000}),
-    "pendulum": Task("", 4096, ("mapg", "ppo"), {"paper": 20_000, "parallel": 200_000}, (1, 2, 5)),
+    "pendulum": Task("", 4096, ("mapg", "ppo"), {"paper": 20_000, "parallel": 200_000}),
     "halfcheetah": Task(
         "", 256, ("mapg", "ppo", "td3", "sac"), {"paper": 50_000, "parallel": 150_000}
     ),
@@ -118,7 +118,7 @@ def measure(run: Run, stopping: threading.Event) -> list[dict[str, float]]:
         with subprocess.Popen(
             command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
         ) as process:
-            for _ in range(60 * TASKS[run.task].minutes[-1]):
+            for _ in range(60 * MINUTES[-1]):
                 if stopping.wait(1.0) or process.poll() is not None:
                     break
             ended = process.poll() is not None
@@ -179,7 +179,7 @@ def returns(found: Mapping[Run, Curve]) -> document.Table:
         (task, algorithm, str(minutes), *_compared(*seeds))
         for task, of_task in TASKS.items()
         for algorithm in of_task.algorithms
-        for minutes in of_task.minutes
+        for minutes in MINUTES
         for seeds in [[_after(found, (task, algorithm, x), minutes) for x in PRESETS]]
         if any(seeds)
     ]
@@ -213,13 +213,13 @@ def laps(found: Mapping[Run, Curve]) -> document.Table:
         (run.algorithm, run.preset, str(run.seed), *(f"{share:.0%}" for share in shares))
         for run, curve in found.items()
         if run.task == "driving"
-        for shares in [[after(curve, minutes, "lap_share") for minutes in TASKS["driving"].minutes]]
+        for shares in [[after(curve, minutes, "lap_share") for minutes in MINUTES]]
     ]
     header = (
         "algorithm",
         "preset",
         "seed",
-        *(f"{minutes} min" for minutes in TASKS["driving"].minutes),
+        *(f"{minutes} min" for minutes in MINUTES),
     )
     return document.Table(header, sorted(rows))
 

@@ -98,7 +98,7 @@ class Ppo(OnPolicy):
             "annealing_updates": 489,  # those of the preset's million steps
         },
         "parallel": {  # minibatches and epochs of Brax's PPO; rollouts as long, and steps as small,
-            # as driving took to settle (docs/parallel.md)
+            # as driving took to settle
             "rollout_steps": 64,
             "minibatches": 32,
             "epochs": 4,

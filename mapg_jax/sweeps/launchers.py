@@ -81,6 +81,8 @@ def launcher(name: Name, options: Sequence[str] = ()) -> Launcher:
         key, equals, value = text.partition("=") if isinstance(text, str) else ("", "", "")
         if not key or not equals:
             raise ValueError(f"options of a launcher are written name=value, got {text!r}")
+        if key in given:
+            raise ValueError(f"the launcher's option {key} is given twice; leave one out")
         given[key] = values.read(value)
     _leave_the_memory_to_workers()
     if name == "local":

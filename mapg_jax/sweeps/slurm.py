@@ -17,6 +17,8 @@ CLUSTER = "cluster"
 """The option that says whose jobs: slurm, or local for processes of this machine."""
 POLL_SECONDS = 30
 """How often Slurm is asked what became of jobs that have no result yet."""
+SLURMS_OWN = "slurm_"
+"""Before the name of an option that submitit hands to Slurm as it is."""
 NO_LIMIT = 10**9
 """Of time limits that a job may reach: at each it saves and is queued again."""
 USUAL: launchers.Options = {"timeout_min": 24 * 60, "cpus_per_task": 1, "name": "mapg"}
@@ -64,7 +66,11 @@ class Launcher:
 
 
 def _refuse_wrong_numbers(options: launchers.Options) -> None:
-    """Raises ValueError if a number of a job is none, or is that of several tasks."""
+    """Raises ValueError if a number of a job is none, or is that of several tasks.
+
+    The same holds of what submitit hands to Slurm as it is, `slurm_` before its name.
+    """
+    options = {name.removeprefix(SLURMS_OWN): value for name, value in options.items()}
     for name, least in (("timeout_min", 1), ("cpus_per_task", 1), ("gpus_per_node", 0)):
         value = options.get(name, least)
         if type(value) is not int or value < least:
@@ -72,7 +78,10 @@ def _refuse_wrong_numbers(options: launchers.Options) -> None:
     memory = options.get("mem_gb", 1)
     if type(memory) not in (int, float) or not 0 < memory < float("inf"):
         raise ValueError(f"mem_gb must be a number above 0, got {memory!r}")
-    for name in ("nodes", "tasks_per_node"):
+    for name, instead in (("time", "timeout_min, in minutes"), ("mem", "mem_gb")):
+        if name in options:
+            raise ValueError(f"leave {SLURMS_OWN}{name} out; give {instead}")
+    for name in ("nodes", "tasks_per_node", "ntasks_per_node"):
         if options.get(name, 1) != 1:
             raise ValueError(f"a group is one task on one node; leave {name} out")
 

@@ -103,6 +103,8 @@ def test_what_is_wrong_is_said(monkeypatch):
         launcher("local", ["a=1"])
     with pytest.raises(ValueError, match="written name=value, got 'partition'"):
         launcher("slurm", ["partition"])
+    with pytest.raises(ValueError, match="the launcher's option a is given twice; leave one out"):
+        launcher("slurm", ["a=1", "a=2"])
     with pytest.raises(ValueError, match="written name=value, got 1"):
         launcher("slurm", [1])
     with pytest.raises(ValueError, match="a launcher is local, slurm or ray, got 'foo'"):
@@ -127,6 +129,11 @@ def test_what_is_wrong_is_said(monkeypatch):
         ("cpus_per_task=x", "cpus_per_task must be a whole number of at least 1, got 'x'"),
         ("mem_gb=0", "mem_gb must be a number above 0, got 0"),
         ("nodes=2", "a group is one task on one node; leave nodes out"),
+        ("slurm_nodes=2", "a group is one task on one node; leave nodes out"),
+        ("slurm_ntasks_per_node=2", "a group is one task on one node; leave ntasks_per_node out"),
+        ("slurm_timeout_min=-5", "timeout_min must be a whole number of at least 1, got -5"),
+        ("slurm_time=-5", "leave slurm_time out; give timeout_min, in minutes"),
+        ("slurm_mem=x", "leave slurm_mem out; give mem_gb"),
         ("stderr_to_stdout=maybe", "Slurm cannot be used as asked: .*stderr_to_stdout"),
     ],
 )
