@@ -26,7 +26,7 @@ RUNS = {
     **{name: preset("smoke", name, **SMALL, **ROLLOUTS) for name in ("a3c", "trpo")},
     "ppo": preset("smoke", "ppo", minibatches=2, **SMALL, **ROLLOUTS),
 }
-"""What runs on 8 devices: `python test_shards.py NAME DEVICES…` prints where it was the same."""
+"""What runs on 8 devices: `python test_shards.py NAME,… DEVICES…` prints where it was the same."""
 
 
 def over(*axes):
@@ -109,31 +109,35 @@ def test_what_the_host_steps_is_on_one_device(env, remedy):
 
 
 @pytest.mark.parametrize(
-    ("name", "devices"),
-    [("mapg", [8]), *(pytest.param(name, [4, 8], marks=pytest.mark.slow) for name in RUNS)],
+    ("names", "devices"),
+    [
+        (["mapg", "a3c"], [8]),  # from replay, and from rollouts
+        *(pytest.param([name], [2, 4, 8], marks=pytest.mark.slow) for name in RUNS),
+    ],
 )
-def test_the_same_run_on_one_device_and_several(name, devices):
+def test_the_same_run_on_one_device_and_several(names, devices):
     """Draws and whole numbers are the same, others within 1e-5 after two turns."""
     flags = "--xla_force_host_platform_device_count=8 --xla_backend_optimization_level=0"
     environ = {**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run(
-        [sys.executable, __file__, name, *map(str, devices)],
+        [sys.executable, __file__, ",".join(names), *map(str, devices)],
         env=environ, capture_output=True, text=True, timeout=600,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-3000:]
-    assert done.stdout.split() == list(map(str, devices))
+    assert done.stdout.split() == [f"{name},{n}" for name in names for n in devices]
 
 
-def compare_devices(name: str, *several: str) -> None:
+def compare_devices(names: str, *several: str) -> None:
     """In a process with 8 devices."""
-    alone = after_two_turns(RUNS[name], 1)
-    for devices in several:
-        found = after_two_turns(RUNS[name], int(devices))
-        for path, x in alone.items():
-            np.testing.assert_allclose(found[path], x, rtol=1e-5, atol=1e-5)
-            if not np.issubdtype(x.dtype, np.floating):
-                np.testing.assert_array_equal(found[path], x)
-        print(devices)
+    for name in names.split(","):
+        alone = after_two_turns(RUNS[name], 1)
+        for devices in several:
+            found = after_two_turns(RUNS[name], int(devices))
+            for path, x in alone.items():
+                np.testing.assert_allclose(found[path], x, rtol=1e-5, atol=1e-5)
+                if not np.issubdtype(x.dtype, np.floating):
+                    np.testing.assert_array_equal(found[path], x)
+            print(f"{name},{devices}")
 
 
 def after_two_turns(config: Config, devices: int) -> dict[str, np.ndarray]:
