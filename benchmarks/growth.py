@@ -25,8 +25,8 @@ from mapg_jax.training.replay import Data, ReplayState
 SECONDS = 0.5
 """Of a measurement, at least."""
 ROUNDS = 3
-BEND = 0.5
-"""Slope of the logarithms from which on the work costs more than its instructions."""
+BEND = 1.5
+"""Times the least of an axis, from which on its cost is said to grow."""
 PICTURE = commands.ROOT / "benchmarks/growth.png"
 
 
@@ -64,6 +64,8 @@ class Plain(envs.Env):
 class Cost(NamedTuple):
     """Of one turn."""
 
+    steps: int
+    """Of environments, all runs together."""
     seconds: float
     bytes: int
     """Of the state, and of what the compiled program needs beside it."""
@@ -105,11 +107,12 @@ def report(quick: bool) -> str:
         "one update of MAPG (M = 10, batch 64, observations of 8, replay of 100,000); one of these "
         f"numbers changes at a time. Medians of {1 if quick else ROUNDS}. The exponent is the "
         "slope of the logarithms over the last two values, and over all of them: near 0 a turn "
-        "costs its instructions, whatever they work on; it bends where the work begins to cost "
-        "more.",
+        "costs its instructions, whatever they work on; it bends from where on all cost more than "
+        f"{BEND} times the least.",
         "",
-        "| | | turns/s | µs a turn | exponent, end | exponent, all | memory, MB |",
-        "|---|---|---|---|---|---|---|",
+        "| | | turns/s | steps/s | µs a turn | exponent, end | all | memory, MB | exponent, end "
+        "| all |",
+        f"{'|---' * 10}|",
     ]
     measured = {
         title: {count: measure(runs(count), quick) for count in (values[:2] if quick else values)}
@@ -117,32 +120,32 @@ def report(quick: bool) -> str:
     }
     for title, costs in measured.items():
         lines += _rows(title, list(costs), list(costs.values()))
-    lines += ["", *(f"- {_bend(title, costs)}" for title, costs in measured.items())]
+    lines.append("")
+    for title, costs in measured.items():
+        of_time = _bend(list(costs), [cost.seconds for cost in costs.values()])
+        memory = _bend(list(costs), [cost.bytes for cost in costs.values()])
+        lines.append(f"- {title}: time {of_time}; memory {memory}.")
     if not quick:
         PICTURE.write_bytes(document.picture_bytes(_draw(measured), "png"))
         lines += ["", f"![time and memory of a turn]({PICTURE.name})"]
     return "\n".join(lines)
 
 
-def _bend(title: str, costs: Mapping[int, Cost]) -> str:
-    """Up to which value a turn costs what its instructions do."""
-    counts = list(costs)
-    seconds = np.log([cost.seconds for cost in costs.values()])
-    slopes = np.diff(seconds) / np.diff(np.log(counts))
-    steep = np.flatnonzero(slopes > BEND)
-    if not steep.size:
+def _bend(counts: Sequence[int], costs: Sequence[float]) -> str:
+    """From which value on a cost grows, and how."""
+    relative = np.array(costs) / min(costs)
+    least = counts[int(relative.argmin())]
+    begun = f" ({relative[0]:.1f} times as much at {counts[0]:,})" if relative[0] >= 1.1 else ""
+    low = np.flatnonzero(relative <= BEND)[-1]
+    if low == len(counts) - 1:
         return (
-            f"{title}: no bend up to {counts[-1]:,}, where a turn takes "
-            f"{np.exp(seconds[-1] - seconds[0]):.1f} times as long as at {counts[0]:,}."
+            f"is least at {least:,}{begun}, and has no bend up to {counts[-1]:,}, where it is "
+            f"{relative[-1]:.1f} times that"
         )
-    bend = int(steep[0])
-    before = np.exp(seconds[bend] - seconds[0])
-    beyond = np.polyfit(np.log(counts[bend:]), seconds[bend:], 1)[0]
-    if bend == 0:
-        return f"{title}: from the first on, with an exponent of {beyond:.2f}."
+    slope = np.polyfit(np.log(counts[low:]), np.log(relative[low:]), 1)[0]
     return (
-        f"{title}: it bends at {counts[bend]:,}, up to which a turn grows {before:.1f} times, and "
-        f"beyond which it grows with an exponent of {beyond:.2f}."
+        f"is least at {least:,}{begun}, and bends after {counts[low]:,}, from where on its "
+        f"exponent is {slope:.2f}"
     )
 
 
@@ -163,16 +166,21 @@ def _draw(measured: Mapping[str, Mapping[int, Cost]]) -> matplotlib.figure.Figur
 
 
 def _rows(title: str, counts: Sequence[int], costs: Sequence[Cost]) -> Iterator[str]:
-    logs = np.log(counts), np.log([cost.seconds for cost in costs])
-    whole = float(np.polyfit(*logs, 1)[0])
+    slopes = [_slopes(counts, [cost.seconds for cost in costs])]
+    slopes.append(_slopes(counts, [cost.bytes for cost in costs]))
     for i, (count, cost) in enumerate(zip(counts, costs, strict=True)):
-        last = i == len(counts) - 1
-        end = float(np.diff(logs[1])[-1] / np.diff(logs[0])[-1])
-        slopes = f"{end:.2f} | {whole:.2f}" if last else " | "
+        seconds, memory = slopes if i == len(counts) - 1 else (" | ", " | ")
         yield (
             f"| {title if i == 0 else ''} | {count:,} | {1 / cost.seconds:,.0f} | "
-            f"{1e6 * cost.seconds:,.0f} | {slopes} | {cost.bytes / 1e6:,.1f} |"
+            f"{cost.steps / cost.seconds:,.0f} | {1e6 * cost.seconds:,.0f} | {seconds} | "
+            f"{cost.bytes / 1e6:,.1f} | {memory} |"
         )
+
+
+def _slopes(counts: Sequence[int], costs: Sequence[float]) -> str:
+    """Two cells: of the logarithms over the last two values, and over all."""
+    x, y = np.log(counts), np.log(costs)
+    return f"{np.diff(y)[-1] / np.diff(x)[-1]:.2f} | {np.polyfit(x, y, 1)[0]:.2f}"
 
 
 def measure(configs: Sequence[Config], quick: bool) -> Cost:
@@ -192,7 +200,8 @@ def measure(configs: Sequence[Config], quick: bool) -> Cost:
                 break
             turns = int(turns * min(16.0, 1.2 * SECONDS / max(seconds, 1e-4))) + 1
         times.append(seconds / turns)
-    return Cost(statistics.median(times), memory)
+    steps = sum(config.environments for config in configs)
+    return Cost(steps, statistics.median(times), memory)
 
 
 def _full(empty: ReplayState, slots: int) -> ReplayState:
