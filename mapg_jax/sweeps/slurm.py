@@ -71,6 +71,8 @@ def _refuse_wrong_numbers(options: launchers.Options) -> None:
     The same holds of what submitit hands to Slurm as it is, `slurm_` before its name.
     """
     options = {name.removeprefix(SLURMS_OWN): value for name, value in options.items()}
+    if ":" in str(options.get("gpus_per_node")):
+        del options["gpus_per_node"]  # by their kind, a100:1, which Slurm knows and we do not
     for name, least in (("timeout_min", 1), ("cpus_per_task", 1), ("gpus_per_node", 0)):
         value = options.get(name, least)
         if type(value) is not int or value < least:

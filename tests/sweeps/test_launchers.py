@@ -133,6 +133,8 @@ def test_what_is_wrong_is_said(monkeypatch):
         ("slurm_ntasks_per_node=2", "a group is one task on one node; leave ntasks_per_node out"),
         ("slurm_timeout_min=-5", "timeout_min must be a whole number of at least 1, got -5"),
         ("slurm_time=-5", "leave slurm_time out; give timeout_min, in minutes"),
+        ("timeout_min=1:30", "timeout_min must be a whole number of at least 1, got '1:30'"),
+        ("gpus_per_node=a100:x", "Slurm cannot be used as asked: .*gpus_per_node"),
         ("slurm_mem=x", "leave slurm_mem out; give mem_gb"),
         ("stderr_to_stdout=maybe", "Slurm cannot be used as asked: .*stderr_to_stdout"),
     ],
@@ -141,6 +143,10 @@ def test_a_job_that_cannot_be_is_refused_in_one_line(option, refusal):
     with pytest.raises(ValueError, match=refusal) as error:
         launcher("slurm", ["cluster=local", option])
     assert "\n" not in str(error.value)
+
+
+def test_slurm_may_be_asked_for_gpus_of_a_kind():
+    launcher("slurm", ["cluster=local", "slurm_gpus_per_node=a100:1"])
 
 
 SQUEUE = """#!/bin/sh
