@@ -35,9 +35,9 @@ class Launcher:
         self._cluster = self._options.pop(CLUSTER, "slurm")
         _refuse_wrong_numbers(self._options)
         # What is wrong is refused before anything is written.
-        self._executor(pathlib.Path())
+        executor = self._executor(pathlib.Path())
         if self._cluster == "slurm":
-            _refuse_without_controller()
+            _refuse_what_slurm_would(executor)
         self._queue = Queue(delay_s=POLL_SECONDS)
 
     def shares(self, workers: int) -> list[Share]:
@@ -88,15 +88,18 @@ def _refuse_wrong_numbers(options: launchers.Options) -> None:
             raise ValueError(f"a group is one task on one node; leave {name} out")
 
 
-def _refuse_without_controller() -> None:
-    """Raises ValueError if Slurm does not answer."""
+def _refuse_what_slurm_would(executor: submitit.AutoExecutor) -> None:
+    """Raises ValueError if Slurm does not answer, or would take no such job."""
+    script = executor._executor._make_submission_file_text("true", "")
     try:
-        asked = subprocess.run(["sinfo", "-h"], capture_output=True, text=True, timeout=60)
+        asked = subprocess.run(
+            ["sbatch", "--test-only"], input=script, capture_output=True, text=True, timeout=60
+        )
         said = asked.stderr if asked.returncode else ""
     except (OSError, subprocess.TimeoutExpired) as error:
         said = str(error)
     if said:
-        raise ValueError(f"Slurm does not answer here: {said.strip().splitlines()[-1]}")
+        raise ValueError(f"Slurm takes no such job: {said.strip().splitlines()[-1]}")
 
 
 class Queue(SlurmInfoWatcher):

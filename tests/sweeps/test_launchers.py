@@ -4,6 +4,7 @@ import dataclasses
 import importlib
 import os
 import pathlib
+import re
 import shutil
 import signal
 import socket
@@ -56,8 +57,9 @@ def lines(folder: pathlib.Path) -> list[str]:
 
 
 def assert_as_here(found: list[RunFolder], root: pathlib.Path) -> None:
-    """The runs of LONG, to the last bit as workers of this machine make them."""
-    for ours, theirs in zip(found, carry_out(Local(), root, LONG), strict=True):
+    """Runs of seeds 0, 1, …, to the last bit as workers of this machine make them."""
+    here = carry_out(Local(), root, found[0].config, range(len(found)))
+    for ours, theirs in zip(found, here, strict=True):
         oracles.assert_same_run(ours, theirs)
 
 
@@ -354,3 +356,32 @@ def test_a_job_of_slurm_that_is_requeued_ends_like_one_that_is_not(slurm, tmp_pa
         together = carry_out(started_by, tmp_path, LONG)
     assert requeued
     assert_as_here(together, tmp_path / "alone")
+
+
+@pytest.mark.cluster
+def test_a_job_of_slurm_that_reaches_its_time_limit_ends_like_one_that_does_not(slurm, tmp_path):
+    """A step of `srun`, as jobs are by default, which is told in half a minute."""
+
+    def hasten(*_):
+        """What is queued again begins now, and not two minutes later."""
+        for job in subprocess.check_output(["squeue", "-ht", "PD", "-o", "%A"], text=True).split():
+            subprocess.run(["scontrol", "update", f"JobId={job}", "StartTime=now"], check=False)
+
+    limits = ["timeout_min=1", "slurm_signal_delay_s=50"]
+    longer = dataclasses.replace(LONG, steps=4_000_000, evaluate_every=400_000)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sweep.SweepTable, "update", hasten)
+        limited = carry_out(launcher("slurm", limits), tmp_path, longer, seeds=(0,))
+    jobs = subprocess.check_output(["scontrol", "show", "job"], text=True)
+    assert max(map(int, re.findall(r"Restarts=(\d+)", jobs))) > 0
+    assert_as_here(limited, tmp_path / "alone")
+
+
+@pytest.mark.cluster
+def test_what_slurm_would_not_take_is_refused_before_anything_is_written(slurm, tmp_path):
+    for option in ("slurm_partition=nowhere", "cpus_per_task=64", "gpus_per_node=1"):
+        with pytest.raises(ValueError, match="Slurm takes no such job: ") as refusal:
+            launcher("slurm", [option])
+        assert "\n" not in str(refusal.value)
+    launcher("slurm", ["slurm_partition=all"])
+    assert subprocess.check_output(["squeue", "-h"]) == b""  # nothing was submitted
