@@ -18,7 +18,7 @@ import pytest
 import submitit
 
 from mapg_jax.runs.folder import RunFolder
-from mapg_jax.sweeps import launchers, sweep
+from mapg_jax.sweeps import launchers, search, sweep
 from mapg_jax.sweeps import task as task_module
 from mapg_jax.sweeps import worker as worker_module
 from mapg_jax.sweeps.launchers import Local, launcher
@@ -261,32 +261,57 @@ def test_a_run_that_another_process_trains_is_waited_for(tmp_path, capsys):
     assert capsys.readouterr().out == f"another process trains {folder.path}, and is waited for\n"
 
 
-@pytest.mark.cluster
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Ray forks
-def test_a_task_of_ray_whose_node_is_lost_ends_on_another(tmp_path):
-    """Two nodes, one worker on each; one is lost while both train."""
+def searched(path: pathlib.Path, name: str, *options: str) -> list[str]:
+    """What a search says, in which each trial's values depend on the scores of those before."""
+    folder = search.SearchFolder(
+        path,
+        "smoke",
+        {"steps": 400},
+        space={"discount": search.Dimension(low=0.5, high=0.99)},
+        trials=3,
+        workers=1,
+        launcher=name,
+        launcher_options=options,
+    )
+    folder.create()
+    lines = []
+    assert search.carry_out(search.make_plan(folder), lines.append)
+    return lines
+
+
+@pytest.fixture
+def ray_cluster():
+    """Two nodes with room for one worker each, beside the head."""
     cluster_utils = pytest.importorskip("ray.cluster_utils")
     cluster = cluster_utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
-    nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
+    try:
+        for _ in range(2):
+            cluster.add_node(num_cpus=1)
+        yield cluster
+    finally:
+        importlib.import_module("ray").shutdown()
+        cluster.shutdown()
+
+
+@pytest.mark.cluster
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Ray forks
+def test_tasks_of_ray_search_and_one_whose_node_is_lost_ends_on_another(ray_cluster, tmp_path):
+    """The node is lost while both train."""
+    address = f"address={ray_cluster.address}"
+    assert searched(tmp_path / "tasks", "ray", address) == searched(tmp_path / "local", "local")
     lost = []
 
     def lose_one(*_):
         if not lost and all((tmp_path / f"s{k}" / "metrics.csv").exists() for k in (0, 1)):
-            lost.append(cluster.remove_node(nodes[1], allow_graceful=False))
-            cluster.add_node(num_cpus=1)
+            node = next(iter(ray_cluster.worker_nodes))
+            lost.append(ray_cluster.remove_node(node, allow_graceful=False))
+            ray_cluster.add_node(num_cpus=1)
 
-    try:
-        started_by = launcher("ray", [f"address={cluster.address}"])
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(sweep.SweepTable, "update", lose_one)
-            together = carry_out(started_by, tmp_path, LONG)
-        assert lost
-        assert_as_here(together, tmp_path / "alone")
-    finally:
-        import ray
-
-        ray.shutdown()
-        cluster.shutdown()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sweep.SweepTable, "update", lose_one)
+        together = carry_out(launcher("ray", [address]), tmp_path, LONG)
+    assert lost
+    assert_as_here(together, tmp_path / "alone")
 
 
 SLURM_CONF = """
@@ -375,6 +400,11 @@ def test_a_job_of_slurm_that_reaches_its_time_limit_ends_like_one_that_does_not(
     jobs = subprocess.check_output(["scontrol", "show", "job"], text=True)
     assert max(map(int, re.findall(r"Restarts=(\d+)", jobs))) > 0
     assert_as_here(limited, tmp_path / "alone")
+
+
+@pytest.mark.cluster
+def test_jobs_of_slurm_search_like_workers_of_this_machine(slurm, tmp_path):
+    assert searched(tmp_path / "jobs", "slurm") == searched(tmp_path / "local", "local")
 
 
 @pytest.mark.cluster
