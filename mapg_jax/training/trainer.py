@@ -102,7 +102,8 @@ class Trainer:
     def _by_shard(self, tree: Any) -> Any:
         """Leaves [N, ...] as [S, N / S, ...]; of one shard as they are."""
         s = self.layout.shards
-        return tree if s == 1 else jax.tree.map(lambda x: x.reshape(s, -1, *x.shape[1:]), tree)
+        part = self.config.environments // s
+        return tree if s == 1 else jax.tree.map(lambda x: x.reshape(s, part, *x.shape[1:]), tree)
 
     def step(
         self, state: TrainState, key: PRNGKeyArray

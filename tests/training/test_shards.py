@@ -26,7 +26,16 @@ RUNS = {
     **{name: preset("smoke", name, **SMALL, **ROLLOUTS) for name in ("a3c", "trpo")},
     "ppo": preset("smoke", "ppo", minibatches=2, **SMALL, **ROLLOUTS),
 }
-"""What runs on 8 devices: `python test_shards.py NAME,… DEVICES…` prints where it was the same."""
+"""Of every algorithm, what runs on 8 devices."""
+TASKS = {
+    # From one start all observations are alike; normalised they are 0, where LayerNorm is steep.
+    "driving": preset("smoke", env="driving", env_options={"start": "anywhere"}, **SMALL, **REPLAY),
+    "brax": preset("smoke", env="brax:inverted_pendulum", **SMALL, **REPLAY),
+    "mjx": preset("smoke", env="swimmer", engine="mjx", **SMALL, **REPLAY),
+}
+"""Of every kind of physics on the device; Pendulum's is the algorithms'."""
+ALL = RUNS | TASKS
+"""`python test_shards.py NAME,… DEVICES…` prints where each was the same."""
 
 
 def over(*axes):
@@ -113,6 +122,8 @@ def test_what_the_host_steps_is_on_one_device(env, remedy):
     [
         (["mapg", "a3c"], [8]),  # from replay, and from rollouts
         *(pytest.param([name], [2, 4, 8], marks=pytest.mark.slow) for name in RUNS),
+        *(pytest.param([name], [2, 8], marks=pytest.mark.slow) for name in ("driving", "brax")),
+        pytest.param(["mjx"], [2, 8], marks=pytest.mark.mjx),
     ],
 )
 def test_the_same_run_on_one_device_and_several(names, devices):
@@ -130,9 +141,9 @@ def test_the_same_run_on_one_device_and_several(names, devices):
 def compare_devices(names: str, *several: str) -> None:
     """In a process with 8 devices."""
     for name in names.split(","):
-        alone = after_two_turns(RUNS[name], 1)
+        alone = after_two_turns(ALL[name], 1)
         for devices in several:
-            found = after_two_turns(RUNS[name], int(devices))
+            found = after_two_turns(ALL[name], int(devices))
             for path, x in alone.items():
                 np.testing.assert_allclose(found[path], x, rtol=1e-5, atol=1e-5)
                 if not np.issubdtype(x.dtype, np.floating):
