@@ -4,6 +4,7 @@ import os
 import pathlib
 import subprocess
 from collections.abc import Sequence
+from typing import Any
 
 import submitit
 from submitit.core.utils import FailedJobError, UncompletedJobError
@@ -90,7 +91,8 @@ def _refuse_wrong_numbers(options: launchers.Options) -> None:
 
 def _refuse_what_slurm_would(executor: submitit.AutoExecutor) -> None:
     """Raises ValueError if Slurm does not answer, or would take no such job."""
-    script = executor._executor._make_submission_file_text("true", "")
+    slurm: Any = executor._executor
+    script = slurm._make_submission_file_text("true", "")
     try:
         asked = subprocess.run(
             ["sbatch", "--test-only"], input=script, capture_output=True, text=True, timeout=60
