@@ -5,7 +5,7 @@ import pathlib
 import time
 from collections.abc import Sequence
 
-import ray  # pyright: ignore[reportMissingImports]
+import ray.exceptions  # pyright: ignore[reportMissingImports]
 
 from mapg_jax.sweeps import launchers
 from mapg_jax.sweeps.launchers import Share
