@@ -130,9 +130,8 @@ def test_a_command_of_the_readme_is_understood(line):
 
 def test_the_plain_words_of_the_readme_have_the_numbers_of_the_results():
     page = (PAGE.parent.parent / "results" / "README.md").read_text()
-    judged = "\n".join(
-        re.findall(r"^(?:[|-] C\d|\| \d+ \|).*", page, re.M)
-    )  # claims, and costs by M
+    # The claims, and the costs by M.
+    judged = "\n".join(re.findall(r"^(?:[|-] C\d|\| \d+ \|).*", page, re.M))
     words = README.partition("In plain words")[2].partition("<!-- answer -->")[0]
     said = re.findall(NUMBER := r"\d+\.\d+(?:e-\d+)?", words)
     assert said and set(said) <= set(re.findall(NUMBER, judged))
