@@ -157,7 +157,9 @@ class Trainer:
 
     @functools.cached_property
     def jitted_run(self):
-        return jax.jit(self.run, donate_argnums=0)
+        # Said, since what has no numbers in it would come back elsewhere than it went in.
+        out = self.layout.shardings(self.shapes) if self.layout.devices > 1 else None
+        return jax.jit(self.run, donate_argnums=0, out_shardings=out)
 
     @functools.cached_property
     def shapes(self) -> TrainState:

@@ -17,7 +17,8 @@ def carry_out(launched_by, root: pathlib.Path, run, seeds=(0, 1)) -> list[RunFol
     """A sweep over seeds, a group each."""
     runs = [(dataclasses.replace(run, seed=seed), root / f"s{seed}") for seed in seeds]
     schedule = sweep.make_schedule(runs, group="one", keep_replay=True, launcher=launched_by)
-    assert sweep.carry_out(schedule, progress=False) == []
+    failures = sweep.carry_out(schedule, progress=False)
+    assert not failures, failures
     return [RunFolder(path, config) for config, path in runs]
 
 

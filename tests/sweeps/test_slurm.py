@@ -205,18 +205,24 @@ def test_a_job_of_slurm_that_is_requeued_ends_like_one_that_is_not(slurm, tmp_pa
 
 @pytest.mark.cluster
 def test_a_job_of_slurm_that_reaches_its_time_limit_ends_like_one_that_does_not(slurm, tmp_path):
-    """A step of `srun`, as jobs are by default, which is told in half a minute."""
+    """A step of `srun`, as jobs are by default, which is told within a minute: 90 s before."""
+
+    waiting: list[str] = []
 
     def hasten(*_):
-        """What is queued again begins now, and not two minutes later."""
-        for job in subprocess.check_output(["squeue", "-ht", "PD", "-o", "%A"], text=True).split():
-            subprocess.run(["scontrol", "update", f"JobId={job}", "StartTime=now"], check=False)
+        """What is queued again begins in ten seconds: by itself in two minutes, at once too soon.
 
-    limits = ["timeout_min=1", "slurm_signal_delay_s=50"]
-    longer = dataclasses.replace(LONG, steps=4_000_000, evaluate_every=400_000)
+        A node refuses a job that was requeued within the same second.
+        """
+        queued = subprocess.check_output(["squeue", "-ht", "PD", "-o", "%A"], text=True).split()
+        for job in set(queued) - set(waiting):
+            subprocess.run(["scontrol", "update", f"JobId={job}", "StartTime=now+10"], check=False)
+        waiting[:] = queued
+
+    longer = dataclasses.replace(LONG, steps=10_000_000, evaluate_every=1_000_000)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sweep.SweepTable, "update", hasten)
-        limited = carry_out(launcher("slurm", limits), tmp_path, longer, seeds=(0,))
+        limited = carry_out(launcher("slurm", ["timeout_min=2"]), tmp_path, longer, seeds=(0,))
     jobs = subprocess.check_output(["scontrol", "show", "job"], text=True)
     assert max(map(int, re.findall(r"Restarts=(\d+)", jobs))) > 0
     assert_as_here(limited, tmp_path / "alone")
