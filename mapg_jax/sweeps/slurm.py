@@ -22,6 +22,12 @@ SLURMS_OWN = "slurm_"
 """Before the name of an option that submitit hands to Slurm as it is."""
 NO_LIMIT = 10**9
 """Of time limits that a job may reach: at each it saves and is queued again."""
+WHOLE_NUMBERS = {"timeout_min": 1, "cpus_per_task": 1, "gpus_per_node": 0, "signal_delay_s": 0}
+"""Options that are one, and the least of each."""
+SIGNAL_DELAY = 90
+"""Seconds before its end at which submitit has a job told, unless `signal_delay_s` says else."""
+EARLY = 60
+"""Seconds by which Slurm may do that earlier: one that it tells before it minds signals dies."""
 USUAL: launchers.Options = {"timeout_min": 24 * 60, "cpus_per_task": 1, "name": "mapg"}
 
 
@@ -74,10 +80,16 @@ def _refuse_wrong_numbers(options: launchers.Options) -> None:
     options = {name.removeprefix(SLURMS_OWN): value for name, value in options.items()}
     if ":" in str(options.get("gpus_per_node")):
         del options["gpus_per_node"]  # by their kind, a100:1, which Slurm knows and we do not
-    for name, least in (("timeout_min", 1), ("cpus_per_task", 1), ("gpus_per_node", 0)):
+    for name, least in WHOLE_NUMBERS.items():
         value = options.get(name, least)
         if type(value) is not int or value < least:
             raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
+    minutes, told = options["timeout_min"], options.get("signal_delay_s", SIGNAL_DELAY) + EARLY
+    if 60 * minutes <= told:
+        raise ValueError(
+            f"timeout_min={minutes} leaves a job no time: Slurm may tell it {told} s before its "
+            f"end (signal_delay_s, and a minute); give at least {told // 60 + 1}"
+        )
     memory = options.get("mem_gb", 1)
     if type(memory) not in (int, float) or not 0 < memory < float("inf"):
         raise ValueError(f"mem_gb must be a number above 0, got {memory!r}")

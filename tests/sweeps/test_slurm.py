@@ -35,6 +35,8 @@ from mapg_jax.sweeps.slurm import Job, Queue
         ("slurm_ntasks_per_node=2", "a group is one task on one node; leave ntasks_per_node out"),
         ("slurm_timeout_min=-5", "timeout_min must be a whole number of at least 1, got -5"),
         ("slurm_time=-5", "leave slurm_time out; give timeout_min, in minutes"),
+        ("timeout_min=2", "timeout_min=2 leaves a job no time: .* give at least 3"),
+        ("slurm_signal_delay_s=x", "signal_delay_s must be a whole number of at least 0, got 'x'"),
         ("timeout_min=1:30", "timeout_min must be a whole number of at least 1, got '1:30'"),
         ("gpus_per_node=a100:x", "Slurm cannot be used as asked: .*gpus_per_node"),
         ("slurm_mem=x", "leave slurm_mem out; give mem_gb"),
@@ -205,8 +207,7 @@ def test_a_job_of_slurm_that_is_requeued_ends_like_one_that_is_not(slurm, tmp_pa
 
 @pytest.mark.cluster
 def test_a_job_of_slurm_that_reaches_its_time_limit_ends_like_one_that_does_not(slurm, tmp_path):
-    """A step of `srun`, as jobs are by default, which is told within a minute: 90 s before."""
-
+    """A step of `srun`, as jobs are by default, which is told after 45 to 75 s."""
     waiting: list[str] = []
 
     def hasten(*_):
@@ -219,10 +220,11 @@ def test_a_job_of_slurm_that_reaches_its_time_limit_ends_like_one_that_does_not(
             subprocess.run(["scontrol", "update", f"JobId={job}", "StartTime=now+10"], check=False)
         waiting[:] = queued
 
-    longer = dataclasses.replace(LONG, steps=10_000_000, evaluate_every=1_000_000)
+    longer = dataclasses.replace(LONG, steps=12_000_000, evaluate_every=1_200_000)
+    limits = ["timeout_min=2", "slurm_signal_delay_s=45"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sweep.SweepTable, "update", hasten)
-        limited = carry_out(launcher("slurm", ["timeout_min=2"]), tmp_path, longer, seeds=(0,))
+        limited = carry_out(launcher("slurm", limits), tmp_path, longer, seeds=(0,))
     jobs = subprocess.check_output(["scontrol", "show", "job"], text=True)
     assert max(map(int, re.findall(r"Restarts=(\d+)", jobs))) > 0
     assert_as_here(limited, tmp_path / "alone")
