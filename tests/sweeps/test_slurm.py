@@ -220,7 +220,7 @@ def test_a_job_of_slurm_that_reaches_its_time_limit_ends_like_one_that_does_not(
             subprocess.run(["scontrol", "update", f"JobId={job}", "StartTime=now+10"], check=False)
         waiting[:] = queued
 
-    longer = dataclasses.replace(LONG, steps=12_000_000, evaluate_every=1_200_000)
+    longer = dataclasses.replace(LONG, steps=6_000_000, evaluate_every=600_000)
     limits = ["timeout_min=2", "slurm_signal_delay_s=45"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sweep.SweepTable, "update", hasten)
