@@ -18,6 +18,7 @@ from benchmarks import (
     driving,
     growth,
     learning,
+    memory,
     page,
     physics,
     reach,
@@ -28,6 +29,7 @@ ROUNDS = 3
 ALONE = {
     "devices": devices.report,
     "growth": growth.report,
+    "memory": memory.report,
     "reach": lambda _: reach.report(),  # of what has been run: it takes hours
 }
 
@@ -57,6 +59,7 @@ def main() -> None:
         sweep.report(rounds, quick),
         devices.report(quick),
         growth.report(quick),
+        memory.report(quick),
         reach.report(),
     ]
     text = "\n\n".join(sections) + "\n"

@@ -61,6 +61,12 @@ class Plain(envs.Env):
         )
 
 
+def register() -> None:
+    """Names the walk, once a process."""
+    if "growth" not in envs.names():
+        envs.register("growth", Plain, time_limit=200)
+
+
 class Cost(NamedTuple):
     """Of one turn."""
 
@@ -98,8 +104,7 @@ AXES: tuple[tuple[str, Sequence[int], Callable[[int], Sequence[Config]]], ...] =
 
 def report(quick: bool) -> str:
     """The section of the page."""
-    if "growth" not in envs.names():
-        envs.register("growth", Plain, time_limit=200)
+    register()
     lines = [
         "## How cost grows",
         "",
