@@ -3,13 +3,13 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: demo test test-slow test-mjx test-cluster test-onnx test-trackers test-sb3 test-playground test-browser torture check lint types docs notebooks results bench bench-peers bench-compare clean
+.PHONY: demo test test-slow test-mjx test-cluster test-onnx test-trackers test-sb3 test-playground test-warp test-browser torture check lint types docs notebooks results bench bench-peers bench-compare clean
 
 demo: .venv/ready  ## train MAPG (M = 10) on Pendulum and score it over 100 episodes
 	$(BIN)/mapg train --env pendulum --heads 10 --steps 40000 --evaluate-every 2000
 
 test: .venv/ready  ## the tests, under 12 minutes on 2 cores
-	$(PYTEST) -n 2 --dist worksteal -m "not mjx and not slow and not cluster and not onnx and not trackers and not sb3 and not playground and not browser"
+	$(PYTEST) -n 2 --dist worksteal -m "not mjx and not slow and not cluster and not onnx and not trackers and not sb3 and not playground and not warp and not browser"
 
 test-slow: .venv/ready  ## every algorithm resumes, learns and goes in lockstep; training by Brax; lowering; experiments in full; about 20 minutes on 2 cores
 	XLA_FLAGS= $(PYTEST) -n 2 -m "slow and not mjx"
@@ -36,6 +36,10 @@ test-sb3: .venv/ready  ## our environments in Stable-Baselines3
 test-playground: .venv/ready  ## MuJoCo Playground's environments
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,playground]'
 	$(PYTEST) -m playground
+
+test-warp: .venv/ready  ## the physics engine mjx-warp
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,warp]'
+	$(PYTEST) -m warp
 
 test-browser: .venv/ready docs  ## pages in a browser: Debian's chromium and chromium-driver
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,browser]'

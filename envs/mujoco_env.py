@@ -13,7 +13,11 @@ from envs.frames import Painter, Shown, mujoco_painter, mujoco_viewer
 from envs.mujoco_tasks.restriction import scaled
 from envs.mujoco_tasks.task import MujocoTask
 
-ENGINES = {"native": "envs.engines.native:NativeEngine", "mjx": "envs.engines.mjx:MjxEngine"}
+ENGINES = {
+    "native": "envs.engines.native:NativeEngine",
+    "mjx": "envs.engines.mjx:MjxEngine",
+    "mjx-warp": "envs.engines.mjx_warp:MjxWarpEngine",
+}
 """Imported when an environment is made by one: MJX takes longer than all else."""
 
 

@@ -17,7 +17,9 @@ if TYPE_CHECKING:  # at run time each is imported where an environment is made: 
 BRAX, GYMNASIUM, PLAYGROUND = "brax:", "gym:", "playground:"
 ENTRY_POINTS = "mapg_jax.envs"
 """The group in which an installed package names its environments."""
-PHYSICS_ENGINES = ("native", "mjx")
+PHYSICS_ENGINES = ("native", "mjx", "mjx-warp")
+WITH_CONTACT_FORCES = ("native", "mjx")
+"""Engines of tasks that observe them: Warp does not compute them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,7 +62,7 @@ def register(
         "module:name" of one; its keyword arguments are the options.
       time_limit: steps after which an episode is truncated.
       gymnasium_id: the Gymnasium task it equals.
-      engines: the physics engines it runs on; both where `make` is a `MujocoTask`, else "jax".
+      engines: the physics engines it runs on; all where `make` is a `MujocoTask`, else "jax".
 
     Raises:
       ValueError: if the name is taken or malformed, or the time limit is below 1.
@@ -248,14 +250,16 @@ def _load(point: importlib.metadata.EntryPoint) -> None:
         )
 
 
-def _register_task(name: str, task: str, time_limit: int = 1000) -> None:
+def _register_task(
+    name: str, task: str, time_limit: int = 1000, engines: tuple[str, ...] = PHYSICS_ENGINES
+) -> None:
     """One of Gymnasium's tasks on MuJoCo."""
     register(
         name,
         f"envs.mujoco_tasks.{name}:{task}",
         time_limit=time_limit,
         gymnasium_id=f"{task}-v5",
-        engines=PHYSICS_ENGINES,
+        engines=engines,
     )
 
 
@@ -264,13 +268,13 @@ _register_task("hopper", "Hopper")
 _register_task("walker2d", "Walker2d")
 _register_task("halfcheetah", "HalfCheetah")
 _register_task("swimmer", "Swimmer")
-_register_task("humanoid", "Humanoid")
+_register_task("humanoid", "Humanoid", engines=WITH_CONTACT_FORCES)
 _register_task("inverted_pendulum", "InvertedPendulum")
 _register_task("inverted_double_pendulum", "InvertedDoublePendulum")
-_register_task("ant", "Ant")
+_register_task("ant", "Ant", engines=WITH_CONTACT_FORCES)
 _register_task("reacher", "Reacher", time_limit=50)
 _register_task("pusher", "Pusher", time_limit=100)
-_register_task("humanoid_standup", "HumanoidStandup")
+_register_task("humanoid_standup", "HumanoidStandup", engines=WITH_CONTACT_FORCES)
 register("driving", "envs.driving.env:Driving", time_limit=10_000)  # 200 s at 50 Hz
 register("two_mode_bandit", "envs.bandits.bandits:TwoModeBandit", time_limit=1)
 register("four_bump_bandit", "envs.bandits.bandits:FourBumpBandit", time_limit=1)

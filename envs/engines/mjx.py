@@ -2,6 +2,7 @@
 
 import contextlib
 import copy
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -30,6 +31,10 @@ class MjxState:
     anchor: Array  # [K]
 
 
+HANDED_ON = ("time", "qpos", "qvel", "act", "qacc_warmstart")
+"""Of MjxState, what MuJoCo has too."""
+
+
 def supported_model(model: mujoco.MjModel) -> mujoco.MjModel:
     """The model with what MJX lacks replaced: the PGS solver by Newton."""
     if model.opt.solver != mujoco.mjtSolver.mjSOL_PGS:
@@ -47,44 +52,33 @@ class MjxEngine:
     def __init__(self, task: MujocoTask):
         self.task = task
         self.model = supported_model(task.model)
-        self._model = mjx.put_model(self.model)
+        self._model = mjx.put_model(self.model, impl="jax")
         self._qpos0 = self.model.qpos0.astype(np.float32)
+        self._names = (*HANDED_ON, *task.fields)
 
     def reset(self, key: jax.Array) -> tuple[MjxState, Outcome]:
         """A start drawn as the task says."""
         qpos_offset, qvel_offset = self.task.start_offset(key)
         return self.reset_to(self._qpos0 + qpos_offset, qvel_offset)
 
-    @mujoco_contact_frames()
     def reset_to(self, qpos, qvel) -> tuple[MjxState, Outcome]:
         """The start at a given qpos [nq] and qvel [nv]."""
-        qpos, qvel = jnp.asarray(qpos, jnp.float32), jnp.asarray(qvel, jnp.float32)
-        data = mjx.make_data(self._model).replace(qpos=qpos, qvel=qvel)
-        data = mjx.forward(self._model, data)
-        physics = self._physics(data, contact_forces=False)
+        start = {"qpos": jnp.asarray(qpos, jnp.float32), "qvel": jnp.asarray(qvel, jnp.float32)}
+        simulated = self._simulated(start, frames=0)
+        physics = self._physics(simulated)
         anchor = self.task.anchor(jnp, physics)
         _, metrics = self.task.reward(jnp, anchor, physics, jnp.zeros(self.model.nu))
         zero = jnp.zeros(())
         outcome = Outcome(
             self.task.observation(jnp, physics), zero, zero, dict.fromkeys(metrics, zero)
         )
-        return self._state(data, anchor), outcome
+        return self._state(simulated, anchor), outcome
 
-    @mujoco_contact_frames()
     def step(self, state: MjxState, control: jax.Array) -> tuple[MjxState, Outcome]:
         """`task.frame_skip` physics steps under `control` ([A] float32, Gymnasium's units)."""
-        data = mjx.make_data(self._model).replace(
-            time=state.time,
-            qpos=state.qpos,
-            qvel=state.qvel,
-            act=state.act,
-            qacc_warmstart=state.qacc_warmstart,
-            ctrl=control,
-        )
-        data = jax.lax.fori_loop(
-            0, self.task.frame_skip, lambda _, data: mjx.step(self._model, data), data
-        )
-        physics = self._physics(data, contact_forces=True)
+        start = {name: getattr(state, name) for name in HANDED_ON}
+        simulated = self._simulated({**start, "ctrl": control}, self.task.frame_skip)
+        physics = self._physics(simulated)
         reward, metrics = self.task.reward(jnp, state.anchor, physics, control)
         outcome = Outcome(
             self.task.observation(jnp, physics),
@@ -92,7 +86,7 @@ class MjxEngine:
             self.task.terminated(jnp, physics).astype(jnp.float32),
             {name: jnp.asarray(value, jnp.float32) for name, value in metrics.items()},
         )
-        return self._state(data, self.task.anchor(jnp, physics)), outcome
+        return self._state(simulated, self.task.anchor(jnp, physics)), outcome
 
     def mj_data(self, state: MjxState) -> mujoco.MjData:
         """The simulation of one instance, with everything derived from its state computed."""
@@ -102,21 +96,31 @@ class MjxEngine:
         mujoco.mj_forward(self.model, data)
         return data
 
-    def _state(self, data: mjx.Data, anchor: jax.Array) -> MjxState:
-        return MjxState(data.time, data.qpos, data.qvel, data.act, data.qacc_warmstart, anchor)
-
-    def _physics(self, data: mjx.Data, contact_forces: bool) -> Physics:
-        fields = {name: _field(data, name) for name in ("qpos", "qvel", *self.task.fields)}
-        if "cfrc_ext" in fields:
-            if contact_forces:
+    @mujoco_contact_frames()
+    def _simulated(self, start: Mapping[str, jax.Array], frames: int) -> dict[str, jax.Array]:
+        """What is read of one instance after so many physics steps, or none, from its start."""
+        data = mjx.make_data(self._model, impl="jax").replace(**start)
+        if frames:
+            data = jax.lax.fori_loop(0, frames, lambda _, data: mjx.step(self._model, data), data)
+        else:
+            data = mjx.forward(self._model, data)
+        simulated = {name: field(data, name) for name in self._names}
+        if "cfrc_ext" in simulated:
+            if frames:
                 data = mjx.rne_postconstraint(self._model, data)
-                fields["cfrc_ext"] = _field(data, "cfrc_ext")
+                simulated["cfrc_ext"] = field(data, "cfrc_ext")
             else:
-                fields["cfrc_ext"] = jnp.zeros((self.model.nbody, 6))
-        return Physics(**fields)
+                simulated["cfrc_ext"] = jnp.zeros((self.model.nbody, 6))
+        return simulated
+
+    def _physics(self, simulated: Mapping[str, jax.Array]) -> Physics:
+        return Physics(**{name: simulated[name] for name in ("qpos", "qvel", *self.task.fields)})
+
+    def _state(self, simulated: Mapping[str, jax.Array], anchor: jax.Array) -> MjxState:
+        return MjxState(**{name: simulated[name] for name in HANDED_ON}, anchor=anchor)
 
 
-def _field(data: mjx.Data, name: str) -> Any:
+def field(data: mjx.Data, name: str) -> Any:
     """A field of MjData, which MJX keeps either in its public or in its own part."""
     public = data if name in data.__dataclass_fields__ else data._impl
     return getattr(public, name)

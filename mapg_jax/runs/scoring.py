@@ -19,7 +19,7 @@ from mapg_jax.training.state import tree_bytes
 
 GYMNASIUM_BYTES = 1_000_000
 """Of one environment, about: a MuJoCo model and its data."""
-Physics = Literal["auto", "native", "mjx", "jax", "gymnasium"]
+Physics = Literal["auto", "native", "mjx", "mjx-warp", "jax", "gymnasium"]
 """What an evaluation runs on: `auto` is what the run's `engine` means on this machine,
 `gymnasium` the official task."""
 

@@ -30,7 +30,7 @@ class Config(Options):
     )
     engine: str = option(
         "auto",
-        "Physics engine: native (MuJoCo's C engine), mjx, jax (tasks in pure JAX), or auto.",
+        "Physics engine: native (MuJoCo's C engine), mjx, mjx-warp, jax (pure JAX tasks), or auto.",
     )
     time_limit: int | None = option(
         None,

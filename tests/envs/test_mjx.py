@@ -1,4 +1,4 @@
-"""MuJoCo XLA runs the same tasks: one control step of it against one of the native engine."""
+"""MuJoCo XLA and Warp run the same tasks: a control step of theirs against the native engine's."""
 
 import threading
 
@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from mujoco import mjx
+from visited import INSTANCES, visited_states
 
 import envs
 from envs.base import with_episodes
@@ -18,7 +19,6 @@ pytestmark = pytest.mark.usefixtures("their_code")
 COMPILED_BY_DEFAULT = ("inverted_pendulum",)  # the quickest; hopper is traced by `make test-slow`
 TRACED_BY_DEFAULT = ("ant",)  # whose fields MJX keeps in several places
 CONTACT_FORCES_SEEN = ("ant", "humanoid", "humanoid_standup")  # stiff: 1e-7 m is much force
-INSTANCES = 16
 
 CAPSULE = """
 <mujoco>
@@ -38,24 +38,19 @@ def tasks(default):
     ]
 
 
-def visited_states(name, rng):
-    """qpos and qvel [float32] of random episodes, instance i after 5 i steps."""
-    env = with_episodes(envs.make(name, "native"), envs.spec(name).time_limit)
-    model, step = env.task.model, jax.jit(jax.vmap(env.step))
-    state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), INSTANCES))
-    rows = []
-    for t in range(5 * INSTANCES):
-        if t % 5 == 0:
-            rows.append(np.asarray(state.pipeline_state)[t // 5].view(np.float64))
-        actions = rng.uniform(-1, 1, (INSTANCES, model.nu)).astype(np.float32)
-        state = step(state, actions)
-    values = np.stack(rows)[:, 1 : 1 + model.nq + model.nv].astype(np.float32)
-    return np.split(values, [model.nq], -1)
+def on_engines(default):
+    """Names with their engine, beside the native one."""
+    warp = [name for name in envs.names() if "mjx-warp" in envs.spec(name).engines]
+    return [
+        *(pytest.param(*case.values, "mjx", marks=case.marks) if hasattr(case, "marks")
+          else (case, "mjx") for case in tasks(default)),
+        *(pytest.param(name, "mjx-warp", marks=pytest.mark.warp) for name in warp),
+    ]  # fmt: skip
 
 
-@pytest.mark.parametrize("name", tasks(COMPILED_BY_DEFAULT))
-def test_a_control_step_is_the_native_engines(name):
-    native, xla = envs.make(name, "native"), envs.make(name, "mjx")
+@pytest.mark.parametrize(("name", "engine"), on_engines(COMPILED_BY_DEFAULT))
+def test_a_control_step_is_the_native_engines(name, engine):
+    native, xla = envs.make(name, "native"), envs.make(name, engine)
     rng = np.random.default_rng(0)
     qpos, qvel = visited_states(name, rng)
     actions = rng.uniform(-1, 1, (INSTANCES, native.action_size)).astype(np.float32)
