@@ -67,10 +67,11 @@ def test_ones_own_task_on_mujoco():
 
 
 @pytest.mark.usefixtures("my_envs", "their_code")
-def test_ones_own_task_is_the_same_on_both_engines():
+@pytest.mark.parametrize("other", ["mjx", pytest.param("mjx-warp", marks=pytest.mark.warp)])
+def test_ones_own_task_is_the_same_on_every_engine(other):
     """In shapes and types, where it starts and after a step."""
     shapes = []
-    for engine in envs.spec("balance-at").engines:
+    for engine in ("native", other):
         env = envs.make("balance-at", engine)
         start = jax.eval_shape(env.reset, jax.random.key(0))
         after = jax.eval_shape(env.step, start, jax.ShapeDtypeStruct((1,), jnp.float32))
