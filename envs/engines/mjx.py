@@ -99,11 +99,7 @@ class MjxEngine:
     @mujoco_contact_frames()
     def _simulated(self, start: Mapping[str, jax.Array], frames: int) -> dict[str, jax.Array]:
         """What is read of one instance after so many physics steps, or none, from its start."""
-        data = mjx.make_data(self._model, impl="jax").replace(**start)
-        if frames:
-            data = jax.lax.fori_loop(0, frames, lambda _, data: mjx.step(self._model, data), data)
-        else:
-            data = mjx.forward(self._model, data)
+        data = self._after(mjx.make_data(self._model, impl="jax").replace(**start), frames)
         simulated = {name: field(data, name) for name in self._names}
         if "cfrc_ext" in simulated:
             if frames:
@@ -112,6 +108,12 @@ class MjxEngine:
             else:
                 simulated["cfrc_ext"] = jnp.zeros((self.model.nbody, 6))
         return simulated
+
+    def _after(self, data: mjx.Data, frames: int) -> mjx.Data:
+        """After so many physics steps; after none, with everything derived from its state."""
+        if not frames:
+            return mjx.forward(self._model, data)
+        return jax.lax.fori_loop(0, frames, lambda _, data: mjx.step(self._model, data), data)
 
     def _physics(self, simulated: Mapping[str, jax.Array]) -> Physics:
         return Physics(**{name: simulated[name] for name in ("qpos", "qvel", *self.task.fields)})

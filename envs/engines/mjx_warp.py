@@ -47,7 +47,7 @@ class MjxWarpEngine(MjxEngine):
         super().__init__(task)
         room: Any = mjx.make_data(self._model)._impl  # of all contacts that there can be
         self._contacts, self._constraints = room.ncon, room.nefc
-        self._warp_model = mjx.put_model(self.model, impl="warp")
+        self._model = mjx.put_model(self.model, impl="warp")
         self._all_simulated = functools.cache(self._of_all)
 
     def _simulated(self, start: Values, frames: int) -> dict[str, jax.Array]:
@@ -84,13 +84,7 @@ class MjxWarpEngine(MjxEngine):
         )
 
         def simulated(start: Values) -> dict[str, jax.Array]:
-            after = data.replace(**start)
-            if frames:
-                after = jax.lax.fori_loop(
-                    0, frames, lambda _, data: mjx.step(self._warp_model, data), after
-                )
-            else:
-                after = mjx.forward(self._warp_model, after)
+            after = self._after(data.replace(**start), frames)
             return {name: field(after, name) for name in self._names}
 
         return jax.vmap(simulated)(starts)

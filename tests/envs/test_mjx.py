@@ -16,7 +16,9 @@ from envs.engines.contact_frames import mujoco_contact_frames
 
 pytestmark = pytest.mark.usefixtures("their_code")
 
-COMPILED_BY_DEFAULT = ("inverted_pendulum",)  # the quickest; hopper is traced by `make test-slow`
+COMPILED_BY_DEFAULT = (
+    ("inverted_pendulum", "mjx"),
+)  # the quickest; hopper is traced by `make test-slow`
 TRACED_BY_DEFAULT = ("ant",)  # whose fields MJX keeps in several places
 CONTACT_FORCES_SEEN = ("ant", "humanoid", "humanoid_standup")  # stiff: 1e-7 m is much force
 
@@ -39,13 +41,14 @@ def tasks(default):
 
 
 def on_engines(default):
-    """Names with their engine, beside the native one."""
-    warp = [name for name in envs.names() if "mjx-warp" in envs.spec(name).engines]
+    """Names with each engine that they have beside the native one."""
+    marks = {"mjx": pytest.mark.mjx, "mjx-warp": pytest.mark.warp}
     return [
-        *(pytest.param(*case.values, "mjx", marks=case.marks) if hasattr(case, "marks")
-          else (case, "mjx") for case in tasks(default)),
-        *(pytest.param(name, "mjx-warp", marks=pytest.mark.warp) for name in warp),
-    ]  # fmt: skip
+        pytest.param(name, engine, marks=() if (name, engine) in default else marks[engine])
+        for name in envs.names()
+        for engine in envs.spec(name).engines
+        if engine in marks
+    ]
 
 
 @pytest.mark.parametrize(("name", "engine"), on_engines(COMPILED_BY_DEFAULT))
@@ -74,7 +77,7 @@ def test_a_control_step_is_the_native_engines(name, engine):
     np.testing.assert_allclose(ours.reward, theirs.reward, rtol=1e-3, atol=1e-3)
     np.testing.assert_array_equal(ours.done, theirs.done)
     assert ours.metrics.keys() == theirs.metrics.keys()
-    if name in COMPILED_BY_DEFAULT:  # what one step hands on to the next
+    if (name, engine) in COMPILED_BY_DEFAULT:  # what one step hands on to the next
         np.testing.assert_allclose(our_second.reward, their_second.reward, rtol=1e-2, atol=1e-2)
         np.testing.assert_allclose(our_second.pipeline_state.time, 2 * xla.dt, rtol=1e-5)
     if name not in CONTACT_FORCES_SEEN:
