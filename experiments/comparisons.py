@@ -164,6 +164,8 @@ def tests(comparison: Comparison, pairs: Mapping[str, Pair], late: Mapping[str, 
         texts.insert(1, f"by the second score p = {found.either:.2g}, {side}")
     if size := _size(comparison, pairs):
         texts.append(size)
+    if size and late:
+        texts.append(f"by the second score {_size(comparison, late)}")
     return "; ".join(texts)
 
 

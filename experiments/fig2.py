@@ -40,11 +40,15 @@ class BySeed(NamedTuple):
     """Rank correlation of spread with return there, both less their trend."""
     spikes: list[float]
     """log of the highest spike of the second half over those of shuffled increments."""
+    raw_return: list[float]
+    """As `with_return`, their trends left in; it decides nothing."""
+    over_levels: list[float]
+    """As `spikes`, over those of shuffled levels; it decides nothing."""
 
 
 def by_seed(plan: Plan) -> BySeed:
     """Of every seed that has finished."""
-    found = BySeed([], [], [])
+    found = BySeed([], [], [], [], [])
     for curve in curves.of(plan, runs(plan)):
         steps, spread = curve["env_steps"], curve["spread"]
         learning = steps <= LEARNING * steps[-1]
@@ -52,6 +56,8 @@ def by_seed(plan: Plan) -> BySeed:
         found.with_step.append(correlation(phase[1], phase[0]))
         found.with_return.append(detrended(phase[1], phase[2], phase[0]))
         found.spikes.append(spike_excess(spread[steps > steps[-1] / 2]))
+        found.raw_return.append(correlation(phase[1], phase[2]))
+        found.over_levels.append(spike_excess(spread[steps > steps[-1] / 2], of_levels=True))
     return found
 
 
@@ -76,18 +82,21 @@ def detrended(x: np.ndarray, y: np.ndarray, time: np.ndarray) -> float:
     return float(left[0] @ left[1] / (size[0] * size[1])) if min(size) > 1e-9 * len(x) else np.nan
 
 
-def spike_excess(spread: np.ndarray, shuffles: int = 1_000) -> float:
+def spike_excess(spread: np.ndarray, shuffles: int = 1_000, of_levels: bool = False) -> float:
     """How much higher the highest spike of log spread is than by chance.
 
     The height of a spike is the lesser of the rise before one evaluation and the fall after it;
-    chance is the median of the highest ones of series with the same increments in random order.
+    chance is the median of the highest ones of series with the same increments in random order, so
+    that noise about a level counts as spikes too; or with the same levels in random order.
     """
     if len(spread) < 3 or not (spread > 0).all():
         return np.nan
-    increments = np.diff(np.log(spread))
-    shuffled = np.tile(increments, (shuffles, 1))
+    levels = np.log(spread)
+    increments = np.diff(levels)
+    shuffled = np.tile(levels if of_levels else increments, (shuffles, 1))
     shuffled = np.random.default_rng(0).permuted(shuffled, axis=1)
-    return float(_highest(increments) - np.median(_highest(shuffled)))
+    chance = _highest(np.diff(shuffled) if of_levels else shuffled)
+    return float(_highest(increments) - np.median(chance))
 
 
 def _highest(increments: np.ndarray) -> np.ndarray:

@@ -23,6 +23,8 @@ from mapg_jax.training.trainer import make_trainer
 from mapg_jax.training.turns import ReplayTurn
 
 TIMES = "overhead.csv"
+MACHINE = ("processor", "instructions", "commit", "threads")
+"""Columns that all rows have alike: times of one are not compared with another's."""
 
 
 def runs(plan: Plan) -> list[Config]:
@@ -104,13 +106,21 @@ class TimedArm:
 
 
 def ratios(plan: Plan, column: str) -> dict[int, np.ndarray]:
-    """M → the time over that of M = 1, one number a round."""
-    times = rows.read(plan.measured / TIMES, ("heads", column))
-    by_heads = {
-        m: np.array([float(row[column]) for row in times if row["heads"] == str(m)])
-        for m in (1, *plan.heads)
-    }
-    return {m: x / by_heads[1] for m, x in by_heads.items() if len(x)}
+    """M → the time over that of M = 1, one number a round.
+
+    Raises:
+      ValueError: if the rows are not of one timing of all M on one machine.
+    """
+    file = plan.measured / TIMES
+    times = rows.read(file, ("heads", "round", column, *MACHINE))
+    if len({tuple(row[name] for name in MACHINE) for row in times}) > 1:
+        raise ValueError(f"{file} holds timings of two machines or programs; leave one out")
+    found = {(row["heads"], row["round"]): float(row[column]) for row in times}
+    rounds = {row["round"] for row in times}
+    heads = [m for m in (1, *plan.heads) if any(row["heads"] == str(m) for row in times)]
+    if len(found) != len(times) or len(found) != len(heads) * len(rounds):
+        raise ValueError(f"{file} has not one time of every M in every round; leave others out")
+    return {m: np.array([found[str(m), r] / found["1", r] for r in sorted(rounds)]) for m in heads}
 
 
 def section(plan: Plan) -> str:

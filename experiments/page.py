@@ -28,9 +28,9 @@ timing. A claim is judged once, when all its runs are there.
 **Answer.** {answer}
 
 **Limits.** {done} of {wanted} runs are there. Tasks are Gymnasium's v5, not the v1 of 2017; driving
-stands in for TORCS. That scores are equal is never concluded. Where a claim of two arms is
-undecided, power is printed. [Version 1](version_1/README.md) is kept apart. `make results` makes
-this page from [scores.csv](scores.csv) and what else was measured, in `measured`."""
+stands in for TORCS. That scores are equal is never concluded. Beside what is undecided, power is
+printed. [Version 1](version_1/README.md) is kept apart. `make results` makes this page from
+[scores.csv](scores.csv) and what else was measured, in `measured`."""
 
 
 def sections(plan: Plan) -> dict[Name, str]:

@@ -13,6 +13,9 @@ from mapg_jax.reports.results_csv import append_csv, read_csv
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.training.config import Config
 
+RECORDED = ("processor", "instructions", "threads", "engine")
+"""Of the process that trained: what a row must name. A copy without git has no commit to name."""
+
 
 def path(plan: Plan) -> pathlib.Path:
     return plan.recorded / "scores.csv"
@@ -42,8 +45,8 @@ def _flaw(result: Result) -> str:
     """What a row has otherwise than version 2 of the protocol asks; or ''."""
     if result.seed < FIRST_SEED:
         return f"is not of version 2 of the protocol, whose seeds are {FIRST_SEED} and above"
-    if not (result.processor and result.engine):
-        return "does not name its processor and engine, as version 2 of the protocol asks of a run"
+    if without := [name for name in RECORDED if not getattr(result, name)]:
+        return f"does not name its {without[0]}, as version 2 of the protocol asks of a run"
     return ""
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from experiments import curves, rows, scores, selects
 from experiments.plan import A3C, DDPG, Plan
+from experiments.verdicts import waiting
 from mapg_jax.reports import inference as statistics
 from mapg_jax.reports.document import Table
 from mapg_jax.reports.stratified import effect, van_elteren
@@ -53,7 +54,7 @@ def section(plan: Plan) -> str:
             "probability of improvement over DDPG; p is of the two-sided rank-sum test, and of a "
             "row alone, corrected for no other. Claims are judged above:",
             uncertainty(plan).markdown(),
-            "Over the tasks that have both arms, by van Elteren's test and its weights:",
+            "Over the tasks that have all runs of both arms, by van Elteren's test and weights:",
             over_tasks(plan).markdown(),
         )
     )
@@ -70,18 +71,20 @@ def uncertainty(plan: Plan) -> Table:
             texts = []
             for score in BOTH:
                 values = score(plan, cell)
-                texts.append(_rounded(statistics.mean(values)) if len(values) else "missing")
+                whole = len(values) == len(found)  # a second score is of all runs or of none
+                texts.append(_rounded(statistics.mean(values)) if whole else "missing")
+                values = values if whole else values[:0]
                 texts += ["", ""] if label == "DDPG" else _against([(values, score(plan, plain))])
             lines.append([env, label, str(len(found)), *texts])
     return Table(("task", "arm", "n", "score", "P", "p", "second score", "P", "p"), lines)
 
 
 def over_tasks(plan: Plan) -> Table:
-    """An arm a line, by both scores, against DDPG on the tasks that have both."""
+    """An arm a line, by both scores, against DDPG on the tasks that have all runs of both."""
     lines = []
     for label, changes in plan.arms().items():
         arms = {env: [plan.over_seeds(env, **arm) for arm in (changes, DDPG)] for env in plan.tasks}
-        arms = {env: both for env, both in arms.items() if all(scores.of(plan, a) for a in both)}
+        arms = {env: both for env, both in arms.items() if not any(waiting(plan, a) for a in both)}
         if label != "DDPG" and arms:
             texts = []
             for score in BOTH:

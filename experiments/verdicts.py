@@ -23,7 +23,7 @@ class Verdict(NamedTuple):
     effect: str = ""
     """With its interval."""
     power: str = ""
-    """Of an undecided one, where it compares two arms."""
+    """Of an undecided one: how often its rule would say supported if the paper were right."""
     evidence: str = ""
 
 

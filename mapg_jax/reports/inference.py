@@ -93,12 +93,15 @@ def mean_probability_of_improvement(
     return bootstrap([scores for task in tasks for scores in task], statistic, level)
 
 
-def spearman(groups: Mapping[int, Scores], level: float = LEVEL) -> Estimate:
+def spearman(
+    groups: Mapping[int, Scores], level: float = LEVEL, resamples: int = RESAMPLES
+) -> Estimate:
     """Spearman's rank correlation of score with M, over all seeds.
 
     Args:
       groups: scores of each M; seeds are resampled within each.
       level: of the interval.
+      resamples: that the interval is of.
 
     Returns:
       0 where all scores are equal: they have no order.
@@ -112,7 +115,7 @@ def spearman(groups: Mapping[int, Scores], level: float = LEVEL) -> Estimate:
         scale = np.sqrt((x**2).sum() * (y**2).sum(axis=-1))
         return np.divide(y @ x, scale, out=np.zeros_like(scale), where=scale > 0)
 
-    return bootstrap(list(groups.values()), statistic, level)
+    return bootstrap(list(groups.values()), statistic, level, resamples)
 
 
 def student(values: Scores, level: float = LEVEL) -> Estimate:
@@ -193,7 +196,12 @@ def verdict(
     return "below" if estimate.high < null else "undecided"
 
 
-def bootstrap(samples: Sequence[Scores], statistic: Callable, level: float = LEVEL) -> Estimate:
+def bootstrap(
+    samples: Sequence[Scores],
+    statistic: Callable,
+    level: float = LEVEL,
+    resamples: int = RESAMPLES,
+) -> Estimate:
     """A statistic and its stratified percentile bootstrap interval.
 
     Args:
@@ -201,6 +209,7 @@ def bootstrap(samples: Sequence[Scores], statistic: Callable, level: float = LEV
         three there is no interval: resamples of two give the lower and the higher one.
       statistic: function of as many arrays [..., n] and `axis`, -1.
       level: of the interval.
+      resamples: how many there are.
 
     Raises:
       ValueError: if a stratum is empty or a score is not finite.
@@ -212,7 +221,7 @@ def bootstrap(samples: Sequence[Scores], statistic: Callable, level: float = LEV
     interval = stats.bootstrap(
         data,
         statistic,
-        n_resamples=RESAMPLES,
+        n_resamples=resamples,
         vectorized=True,
         axis=-1,
         confidence_level=level,

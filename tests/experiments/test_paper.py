@@ -8,6 +8,7 @@ import signal
 
 import oracles
 import pytest
+from written import ON_ONE
 
 from experiments import (
     carryover,
@@ -98,6 +99,7 @@ def test_every_experiment_trains_measures_and_draws(tmp_path):
     pendulum = [
         ("a3c", 1, 320),
         *[("ddpg", 1, 320)] * 2,  # with and without noise
+        ("mapg", 5, 320),
         ("mapg", 10, 160),
         *[("mapg", 10, 320)] * (2 + len(made.rules())),  # and each rule
     ]
@@ -341,7 +343,8 @@ def test_a_cell_has_the_seeds_of_the_protocol_and_no_more():
     ("changes", "message"),
     [
         ({"seed": 150}, "seed 150 is not of version 2 of the protocol, whose seeds are 2000 and"),
-        ({"processor": ""}, "seed 2000 does not name its processor and engine, as version 2"),
+        ({"processor": ""}, "seed 2000 does not name its processor, as version 2"),
+        ({"threads": ""}, "seed 2000 does not name its threads, as version 2"),
         (
             {"select": "argmax-q"},
             "holds a run that was scored by 100 episodes and argmax-q; choose",
@@ -351,7 +354,7 @@ def test_a_cell_has_the_seeds_of_the_protocol_and_no_more():
 )
 def test_rows_that_the_protocol_does_not_know_are_refused(tmp_path, changes, message):
     plan = make_plan("paper", 1600, 3, tmp_path / "runs", tmp_path)
-    usual = {"seed": 2000, "processor": "A", "engine": "native", "episodes": 100}
+    usual = {"seed": 2000, "episodes": 100, "engine": "native", **ON_ONE}
     found = oracles.result(steps=1600, **{**usual, **changes})
     append_csv(scores.path(plan), [found])
     with pytest.raises(ValueError, match=message) as error:
@@ -364,7 +367,7 @@ def test_the_versions_of_the_protocol_are_apart(tmp_path):
     earlier = plan._replace(version=1)
     for version, seed, score in ((earlier, 0, 1.0), (plan, 2000, 5.0)):
         made = oracles.result(seed=seed, steps=1600, return_mean=score, episodes=100)
-        append_csv(scores.path(version), [made._replace(processor="A", engine="native")])
+        append_csv(scores.path(version), [made._replace(engine="native", **ON_ONE)])
     cell = plan.over_seeds("hopper", **MAPG)
     assert scores.means(plan, cell) == [5.0]
     assert scores.means(earlier, earlier.over_seeds("hopper", **MAPG)) == [1.0]

@@ -7,11 +7,14 @@ from experiments.plan import DRIVING, FIRST_SEED
 from mapg_jax.reports.results import Result, run_key
 from mapg_jax.reports.results_csv import append_csv
 
+ON_ONE = {"processor": "A", "instructions": "x", "commit": "abc", "threads": "1"}
+"""Where a run or a timing was made."""
+
 
 def result(config, score, **extra) -> Result:
     rest = {"return_std": 1.0, "episodes": 100, "select": "uniform", "physics": "native",
             "versions": "", "seconds": 1.0, "date": "2026-01-01", "command": "",
-            "processor": "A", "engine": "native"}  # fmt: skip
+            "engine": "native", **ON_ONE}  # fmt: skip
     return Result(**run_key(config)._asdict(), return_mean=float(score), **{**rest, **extra})
 
 
