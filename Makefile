@@ -17,7 +17,7 @@ test-slow: .venv/ready  ## every algorithm resumes, learns and goes in lockstep;
 test-mjx: .venv/ready  ## the tests that compile every task for MJX, about 15 minutes on 2 cores
 	$(PYTEST) -m mjx
 
-test-cluster: .venv/ready  ## several hosts that make one run, and sweeps by Slurm and Ray
+test-cluster: .venv/ready  ## several hosts that make one run, and sweeps by Slurm (Debian's slurm-wlm and munge) and Ray
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,ray,slurm]'
 	$(PYTEST) -m cluster
 

@@ -123,9 +123,11 @@ def take_to_the_end(run: Run, out: TextIO, track: Sequence[str] = ()) -> None:
         if not run.finished:
             with caught_signals() as signals:
                 run.go(callbacks, signals=signals, progress=True)
-        _score(folder, out)
-        if callbacks:
-            _film(folder)
+        if hosts.is_first():
+            _score(folder, out)
+            if callbacks:
+                _film(folder)
+    hosts.wait("scored")
 
 
 def _film(folder: RunFolder) -> None:
@@ -138,15 +140,11 @@ def _film(folder: RunFolder) -> None:
 
 
 def _score(folder: RunFolder, out: TextIO) -> None:
-    if not hosts.is_first():
-        hosts.wait("scored")
-        return
     print(f"scoring the last policy: {folder.config.final_episodes} episodes", file=sys.stderr)
     try:
         score = finish(folder)
     except KeyboardInterrupt:
         sys.exit(complain(f"interrupted while scoring; go on with: mapg resume {folder.path}", 130))
-    hosts.wait("scored")
     print_score(score, out)
     print(f"run folder:     {folder.path}", file=out)
     print(f"learning curve: {folder.curve}", file=out)

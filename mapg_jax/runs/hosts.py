@@ -18,6 +18,8 @@ from mapg_jax.training.state import TrainState
 from mapg_jax.training.trainer import Trainer
 
 Made = TypeVar("Made")
+LEAVING_SECONDS = 30
+"""How long a process that has failed by itself is waited for by the others; then they abort."""
 
 
 def join(address: str | None, count: int | None, index: int | None) -> None:
@@ -41,7 +43,7 @@ def join(address: str | None, count: int | None, index: int | None) -> None:
             "--host I, from 0"
         )
     try:
-        jax.distributed.initialize(address, count, index)
+        jax.distributed.initialize(address, count, index, shutdown_timeout_seconds=LEAVING_SECONDS)
     except (RuntimeError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise ValueError(f"the processes of this run cannot meet: {reason}") from None

@@ -56,7 +56,8 @@ def fitting(config: Config, devices: int | None = 1) -> Config:
     """
     if not isinstance(config, ReplayConfig):
         return config
-    size = -int(hosts.largest(-_largest_replay(config, devices)))  # of the host with the least
+    ours = hosts.by_all(lambda: _largest_replay(config, devices))
+    size = -int(hosts.largest(-ours))  # of the host with the least
     if size < config.replay_size:
         wanted = f"{config.replay_size:,}"
         LOG.warning(

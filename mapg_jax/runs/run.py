@@ -208,7 +208,7 @@ class Run:
             thread.join(0.1)
             if watch.signals:
                 thread.name = ABANDONED
-            watch.obey()
+                raise watch.stopped(watch.signals[0])
         (result,) = done
         if isinstance(result, Exception):
             raise result
@@ -284,19 +284,24 @@ class _Watch:
         self.callbacks, self.signals = callbacks, signals
         self._started = self.saved = time.monotonic()
         self._learning = self._stopped = False
+        self._agreed = 0
         self.chunk, self.interval = Pace(), Pace()
 
     def agreed_to_stop(self) -> bool:
         """Whether a signal or a callback asks for the end, on any host."""
-        number = int(hosts.largest(self.signals[0] if self.signals else 0))
-        if number and not self.signals:
-            self.signals = (number,)  # which another host has caught
-        return bool(self.signals) or bool(hosts.largest(self._stopped))
+        # Asked once: a signal that comes meanwhile, to one host alone, is for the next time.
+        ours = [self.signals[0] if self.signals else 0, int(self._stopped)]
+        self._agreed, stopped = map(int, hosts.largest(ours))
+        return bool(self._agreed or stopped)
 
     def obey(self) -> None:
-        """Raises StoppedError if a signal asks for the end."""
-        if self.signals:
-            raise StoppedError(self.signals[0], self._command)
+        """Raises StoppedError if a signal was agreed on."""
+        if self._agreed:
+            raise self.stopped(self._agreed)
+
+    def stopped(self, number: int) -> StoppedError:
+        """By that signal."""
+        return StoppedError(number, self._command)
 
     def seconds(self) -> float:
         """Of this process."""

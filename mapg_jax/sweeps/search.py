@@ -113,14 +113,16 @@ class SearchFolder(FolderOfRuns):
         if journal.exists():
             os.truncate(journal, journal.read_bytes().rfind(b"\n") + 1)
         try:
-            return optuna.create_study(
+            study = optuna.create_study(
                 storage=optuna.storages.JournalStorage(JournalFileBackend(str(journal))),
                 study_name="search",
                 direction="maximize",
                 load_if_exists=True,
-                sampler=optuna.samplers.TPESampler(seed=0),
                 pruner=optuna.pruners.MedianPruner(n_startup_trials=4),
             )
+            # A search that goes on draws others than those that it had drawn first.
+            study.sampler = optuna.samplers.TPESampler(seed=len(study.trials))
+            return study
         except (AssertionError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{journal} is damaged: {error}") from None
 

@@ -77,6 +77,7 @@ def test_the_best_trial_is_printed_as_a_command(fake, mapg, tmp_path):
 
 def test_a_search_goes_on_with_what_it_had(fake, mapg, tmp_path):
     assert mapg(*f"{FLAGS} discount=0.5..0.9 --trials 2".split())[0] == 0
+    first = [job.config.discount for job in fake.begun]
     study = module.SearchFolder.open(tmp_path / "here").study()
     under_way = study.ask()  # as of a process that was killed
     under_way.suggest_float("discount", 0.5, 0.9)
@@ -86,6 +87,7 @@ def test_a_search_goes_on_with_what_it_had(fake, mapg, tmp_path):
     assert mapg("resume", "here")[0] == 0
     assert [job.path.name for job in fake.begun] == ["trial-2", "trial-3"]
     assert fake.begun[0].config.discount == under_way.params["discount"]
+    assert len({*first, *(job.config.discount for job in fake.begun)}) == 4  # none twice
     assert mapg("resume", "here", "--steps", "9")[0] == 2
 
 

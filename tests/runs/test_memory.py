@@ -90,7 +90,7 @@ def test_of_several_hosts_the_replay_fits_the_one_with_the_least_memory(monkeypa
     monkeypatch.setattr(memory, "available_bytes", lambda: 100_000_000)
     of_the_least = memory.fitting(config).replay_size
     monkeypatch.setattr(memory, "available_bytes", lambda: 200_000_000)
-    gathered = iter([-of_the_least])
+    gathered = iter([False, -of_the_least])  # nobody is refused
     monkeypatch.setattr(hosts, "largest", lambda ours: max(ours, next(gathered)))
     assert memory.fitting(config).replay_size == of_the_least
 

@@ -8,8 +8,9 @@ import time
 import oracles
 import pytest
 
-from mapg_jax.runs import signals
+from mapg_jax.runs import hosts, signals
 from mapg_jax.runs.progress import Progress
+from mapg_jax.runs.run import _Watch
 from mapg_jax.runs.signals import StoppedError
 from mapg_jax.runs.train import begin, take_up
 
@@ -38,6 +39,33 @@ def test_an_ignored_signal_stays_ignored(interrupts):
         os.kill(os.getpid(), signal.SIGINT)
     assert caught == []
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+def test_a_signal_between_two_questions_waits_for_the_next(monkeypatch):
+    """Hosts ask each other once, whatever comes meanwhile to one of them alone."""
+    caught, asked = [], []
+
+    def largest(ours):
+        asked.append(list(ours))
+        caught.append(signal.SIGTERM)  # after what was asked
+        return ours
+
+    monkeypatch.setattr(hosts, "largest", largest)
+    watch = _Watch({}, Progress(1, False), (), caught, "mapg resume run")
+    assert not watch.agreed_to_stop()
+    watch.obey()
+    assert asked == [[0, 0]]
+    assert watch.agreed_to_stop()
+    with pytest.raises(StoppedError, match="by SIGTERM"):
+        watch.obey()
+
+
+def test_a_signal_to_another_host_is_obeyed(monkeypatch):
+    monkeypatch.setattr(hosts, "largest", lambda ours: [signal.SIGINT, 0])
+    watch = _Watch({}, Progress(1, False), (), [], "mapg resume run")
+    assert watch.agreed_to_stop()
+    with pytest.raises(StoppedError, match="by SIGINT"):
+        watch.obey()
 
 
 def test_a_signal_saves_and_resuming_equals_not_stopping(finished_run, tmp_path, monkeypatch):

@@ -163,7 +163,7 @@ def slurm(tmp_path, monkeypatch):
     """Slurm with one node, of this machine."""
     programs = ("munged", "slurmctld", "slurmd")
     if missing := [name for name in programs if not shutil.which(name)]:
-        pytest.skip(f"there is no {missing[0]}: apt-get install slurm-wlm munge")
+        pytest.fail(f"there is no {missing[0]}: apt-get install slurm-wlm munge")
     folder = tmp_path / "slurm"
     for name in ("spool", "state"):
         (folder / name).mkdir(parents=True)
