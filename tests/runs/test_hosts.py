@@ -28,8 +28,8 @@ FLAGS = (
 )
 
 
-def start(*arguments, devices, processes=1):
-    """The command in each of its processes."""
+def start(*arguments, devices, processes=1, program=("-m", "mapg_jax")):
+    """The command in each of its processes, or another program of Python's."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -37,7 +37,7 @@ def start(*arguments, devices, processes=1):
     meeting = ["--coordinator", f"127.0.0.1:{port}", "--hosts", str(processes), "--host"]
     return [
         subprocess.Popen(
-            [sys.executable, "-m", "mapg_jax", *map(str, arguments)]
+            [sys.executable, *program, *map(str, arguments)]
             + ([*meeting, str(i)] if processes > 1 else []),
             env={**os.environ, "XLA_FLAGS": flags},
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -86,6 +86,41 @@ def test_one_of_two_is_killed_and_both_resume(whole, tmp_path):
     assert 0 < len(read_metrics(path / "metrics.csv")) < 5
     finish(start("resume", path, devices=2, processes=2))
     oracles.assert_same_run(RunFolder.open(path), whole)
+
+
+@cluster
+def test_one_that_fails_alone_is_not_waited_for_long(tmp_path, monkeypatch):
+    """The disk is full as the first host writes a row, which the other does not."""
+    (tmp_path / "full.py").write_text(
+        "from mapg_jax.runs import metrics\n"
+        "def write(*_):\n"
+        "    raise OSError(28, 'No space left on device')\n"
+        "metrics.MetricsFile.write = write\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    flags = [*" ".join(FLAGS).split(), "--import", "full", "--out", tmp_path / "run"]
+    first, second = start("train", *flags, devices=2, processes=2)
+    said = first.communicate(timeout=150)[1]  # to compile, and LEAVING_SECONDS
+    second.communicate(timeout=30)
+    assert first.returncode != 0 and second.returncode != 0
+    assert "No space left on device" in said
+
+
+@cluster
+def test_from_python_the_first_scores_and_all_have_the_score(whole, tmp_path):
+    code = (
+        "import sys; from mapg_jax.runs import hosts\n"
+        "path, _, address, _, count, _, index = sys.argv[1:]\n"
+        "hosts.join(address, int(count), int(index))\n"
+        "import mapg_jax; from mapg_jax.runs.folder import RunFolder\n"
+        f"config = RunFolder.open({str(whole.path)!r}).config\n"
+        "print(mapg_jax.train(config, path).score['mean'])"
+    )
+    processes = start(tmp_path / "run", devices=2, processes=2, program=("-c", code))
+    ends = [process.communicate(timeout=300) for process in processes]
+    assert [process.returncode for process in processes] == [0, 0], ends
+    score = json.loads(whole.evaluation.read_text())["mean"]
+    assert [out.split()[-1] for out, _ in ends] == [str(score)] * 2  # gloo speaks before it
 
 
 @cluster
