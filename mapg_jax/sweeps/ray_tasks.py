@@ -9,7 +9,7 @@ import ray.exceptions  # pyright: ignore[reportMissingImports]
 
 from mapg_jax.sweeps import launchers
 from mapg_jax.sweeps.launchers import Share
-from mapg_jax.sweeps.task import GRACE_SECONDS, Task, dismiss
+from mapg_jax.sweeps.task import GRACE_SECONDS, Task, dismiss, report
 
 ADDRESS = "address"
 """The option that says which cluster: by default the one that Ray finds, or this machine."""
@@ -72,5 +72,8 @@ class RayTask:
                 ray.cancel(self._reference)
         try:
             return int(ray.get(self._reference))
-        except ray.exceptions.RayError:
+        except ray.exceptions.TaskCancelledError:
+            return 1
+        except ray.exceptions.RayError as error:
+            report(self._task.log, error)
             return 1

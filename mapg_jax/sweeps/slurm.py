@@ -12,7 +12,7 @@ from submitit.slurm.slurm import SlurmInfoWatcher
 
 from mapg_jax.sweeps import launchers
 from mapg_jax.sweeps.launchers import Share
-from mapg_jax.sweeps.task import Task, dismiss
+from mapg_jax.sweeps.task import Task, dismiss, report
 
 CLUSTER = "cluster"
 """The option that says whose jobs: slurm, or local for processes of this machine."""
@@ -155,5 +155,6 @@ class Job:
             return 1
         try:
             return int(self._job.result())
-        except (FailedJobError, UncompletedJobError):
+        except (FailedJobError, UncompletedJobError) as error:
+            report(self._log, error)
             return 1

@@ -29,6 +29,12 @@ def appoint(log: pathlib.Path, name: str) -> None:
     _appointed(log).write_text(name)
 
 
+def report(log: pathlib.Path, error: Exception) -> None:
+    """Writes behind what a worker has said why its task has no status."""
+    with log.open("a") as file:
+        file.write(f"{str(error).strip()}\n")
+
+
 def dismiss(log: pathlib.Path) -> None:
     """Asks the task of a log to save and to end."""
     appoint(log, NOBODY)

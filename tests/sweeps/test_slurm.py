@@ -115,6 +115,18 @@ def test_only_a_job_in_its_queue_is_cancelled(queue):
     assert pending.wait() == 1
 
 
+def test_why_a_job_has_no_result_stands_in_the_log(queue):
+    """As of one that Slurm has killed for its memory: it wrote nothing but on its error stream."""
+    (queue / "listed").write_text("")
+    job = job_of(queue, "3")
+    paths = job._job.paths
+    for file, text in ((paths.stdout, ""), (paths.stderr, "slurmstepd: error: oom_kill\n")):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+    assert job.wait() == 1
+    assert "oom_kill" in (queue / "worker.log").read_text()
+
+
 @pytest.mark.slow
 def test_jobs_of_submitit_end_like_workers_of_this_machine(tmp_path):
     assert_as_here(
