@@ -117,7 +117,7 @@ def ratios(plan: Plan, column: str) -> dict[int, np.ndarray]:
         raise ValueError(f"{file} holds timings of two machines or programs; leave one out")
     found = {(row["heads"], row["round"]): float(row[column]) for row in times}
     rounds = {row["round"] for row in times}
-    heads = [m for m in (1, *plan.heads) if any(row["heads"] == str(m) for row in times)]
+    heads = sorted({1, *(int(row["heads"]) for row in times)})
     if len(found) != len(times) or len(found) != len(heads) * len(rounds):
         raise ValueError(f"{file} has not one time of every M in every round; leave others out")
     return {m: np.array([found[str(m), r] / found["1", r] for r in sorted(rounds)]) for m in heads}

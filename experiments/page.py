@@ -2,11 +2,12 @@
 
 import collections
 import pathlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from experiments import carryover, claims, fig2, reference, rows, scores, table2
 from experiments.catalogue import TITLES, Name, experiment, runs
 from experiments.plan import FIRST_SEED, Plan, is_the_papers
+from experiments.verdicts import Verdict
 from mapg_jax.reports.document import Table
 from mapg_jax.reports.results import Result
 from mapg_jax.runs.whole_file import whole_file
@@ -46,21 +47,20 @@ def sections(plan: Plan) -> dict[Name, str]:
 
 def write(plan: Plan, sections: Mapping[Name, str]) -> pathlib.Path:
     """The page, and the tables of the project's README."""
-    page = plan.results / FILE
-    text = "\n\n".join(
-        [abstract(with_all_seeds(plan)), *sections.values(), earlier(plan), diverged(plan)]
-    )
+    page, shown = plan.results / FILE, with_all_seeds(plan)
+    ledger = claims.ledger(shown)
+    text = "\n\n".join([abstract(shown, ledger), *sections.values(), earlier(plan), diverged(plan)])
     with whole_file(page) as file:
         file.write(text.rstrip() + "\n")
     if is_the_papers(plan):
-        write_headline(with_all_seeds(plan), pathlib.Path("README.md"))
+        write_headline(shown, ledger, pathlib.Path("README.md"))
     return page
 
 
-def answer(plan: Plan) -> str:
+def answer(ledger: Sequence[Verdict]) -> str:
     """The claims by their verdicts: in words where there is one."""
     by_verdict: dict[str, list[str]] = {}
-    for verdict in claims.ledger(plan):
+    for verdict in ledger:
         waits = verdict.verdict.startswith("not yet")
         kind = "not yet judged" if waits else verdict.verdict
         shown = verdict.claim if waits else f"{verdict.text} ({verdict.claim})"
@@ -70,7 +70,7 @@ def answer(plan: Plan) -> str:
     return " ".join([*sentences, *([f"Not yet judged: {', '.join(waiting)}."] if waiting else [])])
 
 
-def abstract(plan: Plan) -> str:
+def abstract(plan: Plan, ledger: Sequence[Verdict]) -> str:
     """Ten lines: question, method, answer, limits."""
     wanted = runs(plan, list(TITLES))
     return HEAD.format(
@@ -78,7 +78,7 @@ def abstract(plan: Plan) -> str:
         short=fig2.runs(plan)[0].steps,
         half=carryover.steps(plan),
         episodes=plan.base.final_episodes,
-        answer=answer(plan),
+        answer=answer(ledger),
         done=len(scores.of(plan, wanted)),
         wanted=len(wanted),
     )
@@ -105,17 +105,15 @@ def with_all_seeds(plan: Plan) -> Plan:
     return plan if plan.seeds is None else plan._replace(seeds=max(plan.seeds, most))
 
 
-def write_headline(plan: Plan, readme: pathlib.Path) -> None:
+def write_headline(plan: Plan, ledger: Sequence[Verdict], readme: pathlib.Path) -> None:
     """Puts Table 2 and the verdicts where the project's README has its comments for them."""
-    verdicts = [
-        (v.claim, v.text, claims.earlier(plan, v.claim), v.verdict) for v in claims.ledger(plan)
-    ]
+    verdicts = [(v.claim, v.text, claims.earlier(plan, v.claim), v.verdict) for v in ledger]
     verdict_table = Table(("", "claim", "version 1", "version 2"), verdicts)
     parts = {
         "table 2": table2.beside_the_paper(plan).markdown(),
         "claims": verdict_table.markdown(),
         "reference": reference.table(plan).markdown(),
-        "answer": answer(plan),
+        "answer": answer(ledger),
     }
     if readme.exists():
         text = readme.read_text()

@@ -322,6 +322,7 @@ def timed(ratio, **where):
         ([*timed(1.3), *timed(1.3, processor="B")], "timings of two machines or programs"),
         ([*timed(1.3), *timed(1.3)], "not one time of every M in every round"),
         (timed(1.3)[:-1], "not one time of every M in every round"),
+        (timed(1.3)[1::2], "not one time of every M in every round"),  # none of M = 1
     ],
 )
 def test_times_of_two_timings_are_not_one(plan, lines, message):

@@ -3,7 +3,7 @@
 import pytest
 from written import result
 
-from experiments import page, reference, rows, scores
+from experiments import claims, page, reference, rows, scores
 from experiments.plan import make_plan, name
 from mapg_jax.reports import inference
 from mapg_jax.reports.results_csv import append_csv
@@ -49,5 +49,5 @@ def test_the_mean_over_seeds_is_what_must_reach(plan):
 def test_it_stands_in_the_readme(plan, tmp_path):
     (tmp_path / "README.md").write_text("<!-- reference -->\n<!-- /reference -->\n")
     write(plan, reference.CELLS[0], 1, [-150.0])
-    page.write_headline(plan, tmp_path / "README.md")
+    page.write_headline(plan, claims.ledger(plan), tmp_path / "README.md")
     assert "| NAF | pendulum | 30,000 |" in (tmp_path / "README.md").read_text()

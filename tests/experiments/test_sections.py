@@ -9,6 +9,7 @@ from written import ON_ONE, result, write, write_curve, write_laps
 
 from experiments import (
     boxes,
+    claims,
     curves,
     effects,
     fig4,
@@ -203,7 +204,7 @@ def test_a_readme_that_cannot_be_written_whole_stays_as_it_was(plan, tmp_path, m
 
     monkeypatch.setattr(pathlib.Path, "open", full)
     with pytest.raises(OSError, match="No space"):
-        page.write_headline(plan, readme)
+        page.write_headline(plan, claims.ledger(plan), readme)
     monkeypatch.undo()
     assert readme.read_text() == before
 
@@ -216,9 +217,10 @@ def test_the_readme_gets_its_tables_between_its_comments(plan, tmp_path):
         "<!-- table 2 -->\nold\n<!-- /table 2 -->\nbetween\n"
         "<!-- claims -->\n<!-- /claims -->\nafter\n"
     )
-    page.write_headline(plan, readme)
-    assert page.answer(plan) in page.abstract(plan)
-    assert page.answer(plan) in readme.read_text().splitlines()
+    ledger = claims.ledger(plan)
+    page.write_headline(plan, ledger, readme)
+    assert page.answer(ledger) in page.abstract(plan, ledger)
+    assert page.answer(ledger) in readme.read_text().splitlines()
     lines = readme.read_text().splitlines()
     assert "old" not in lines and "| hopper | here | 7 ± 3 (n = 1) |" in readme.read_text()
     assert [line for line in lines if line in ("before", "between", "after")] == [
@@ -229,7 +231,7 @@ def test_the_readme_gets_its_tables_between_its_comments(plan, tmp_path):
         < lines.index("| | claim | version 1 | version 2 |")
         < lines.index("after")
     )
-    page.write_headline(plan, readme)
+    page.write_headline(plan, claims.ledger(plan), readme)
     assert readme.read_text().splitlines() == lines
 
 
@@ -246,5 +248,5 @@ def test_the_committed_page_is_that_of_the_committed_rows(tmp_path):
     numbers = {file.name: file.read_text() for file in (committed / pictures.FOLDER).glob("*")}
     assert {file.name: file.read_text() for file in (again / pictures.FOLDER).glob("*")} == numbers
     readme = (committed.parent / "README.md").read_text()
-    page.write_headline(plan, tmp_path / "README.md")
+    page.write_headline(plan, claims.ledger(plan), tmp_path / "README.md")
     assert (tmp_path / "README.md").read_text() == readme
