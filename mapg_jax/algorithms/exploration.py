@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from mapg_jax.algorithms import shards
+
 Noise = Literal["ou", "gaussian", "none"]
 
 OU_THETA = 0.15  # 1/s, pull towards 0
@@ -42,8 +44,12 @@ def advance(
 def scales(
     first: Float[Array, ""], last: Float[Array, ""], environments: int
 ) -> Float[Array, "N 1"]:
-    r"""σ of every environment: $\sigma_i = \sigma_1 + (\sigma_N - \sigma_1) \frac{i-1}{N-1}$."""
-    ramp = np.arange(environments, dtype=np.float32) / max(1, environments - 1)
+    r"""σ of every environment: $\sigma_i = \sigma_1 + (\sigma_N - \sigma_1) \frac{i-1}{N-1}$.
+
+    N are those of all shards of the run, of which this one has `environments`.
+    """
+    place = np.arange(environments, dtype=np.float32) + shards.number() * environments
+    ramp = place / max(1, shards.count() * environments - 1)
     return first + (last - first) * ramp[:, None]
 
 

@@ -41,8 +41,7 @@ class HeadOptions(CriticOptions):
     noise_scale: float = option(0.2, "σ of the noise, in units of [-1, 1].", at_least=0)
     noise_scale_last: float | None = option(
         None,
-        "σ in the last environment (of each shard); those between take even steps. By default all "
-        "have one σ.",
+        "σ in the last environment; those between take even steps. By default all have one σ.",
         at_least=0,
     )
     random_start: bool = option(

@@ -5,6 +5,7 @@ shard has its environments, replay and draws; what is learnt is one and the same
 because all that moves it goes through `mean` or `total`.
 """
 
+import math
 from typing import Any
 
 import jax
@@ -33,11 +34,20 @@ def total(tree: Any) -> Any:
 
 def own(key: Array) -> Array:
     """A shard's own key, of a key that all have."""
-    number: Any = None
+    return jax.random.fold_in(key, number()) if axes() else key
+
+
+def number() -> Any:
+    """Of this shard, from 0."""
+    found: Any = 0
     for name in axes():
-        index = jax.lax.axis_index(name)
-        number = index if number is None else number * jax.lax.axis_size(name) + index
-    return key if number is None else jax.random.fold_in(key, number)
+        found = found * jax.lax.axis_size(name) + jax.lax.axis_index(name)
+    return found
+
+
+def count() -> int:
+    """How many there are."""
+    return math.prod(jax.lax.axis_size(name) for name in axes())
 
 
 def _is_bound(name: str) -> bool:

@@ -85,7 +85,7 @@ def _run(command, arguments, out: TextIO) -> None:
     import jax
 
     from mapg_jax.runs.member import DivergedError
-    from mapg_jax.runs.signals import StoppedError, leave
+    from mapg_jax.runs.signals import StoppedError, leave, leave_at_once
 
     jax.config.update("jax_compilation_cache_dir", str(_cache_folder()))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
@@ -94,10 +94,14 @@ def _run(command, arguments, out: TextIO) -> None:
     except DivergedError as error:
         sys.exit(complain(str(error), 1))
     except jax.errors.JaxRuntimeError as error:
-        if "RESOURCE_EXHAUSTED" not in str(error):
+        said = str(error).splitlines()[0]
+        if "RESOURCE_EXHAUSTED" in said:
+            sys.exit(complain(f"{said}; fewer environments or smaller batches need less", 1))
+        if jax.process_count() == 1:
             raise
-        needed = str(error).splitlines()[0]
-        sys.exit(complain(f"{needed}; fewer environments or smaller batches need less", 1))
+        # An exit would wait for the one that is lost, and abort.
+        remedy = "what is saved is whole, and goes on with mapg resume on all hosts"
+        leave_at_once(complain(f"a process of this run is lost ({said}); {remedy}", 1))
     except KeyboardInterrupt:
         sys.exit(complain("interrupted", 130))
     except OSError as error:  # a full disk, say

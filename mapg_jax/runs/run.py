@@ -95,7 +95,7 @@ class Run:
         """Takes up the newest checkpoint that all members have; without one, nothing is done yet.
 
         Raises:
-          ValueError: if it is of another configuration.
+          ValueError: if it is of another configuration, or not all hosts see it.
         """
         while (step := self._newest_of_all()) is not None:
             self.turn = step // self.trainer.steps_per_turn
@@ -113,7 +113,14 @@ class Run:
 
     def _newest_of_all(self) -> int | None:
         common = [set(self.members[k].checkpoints.steps()) for k in self._healthy()]
-        return max(set.intersection(*common), default=None)
+        newest = max(set.intersection(*common), default=-1)
+        most, least = map(int, hosts.largest([newest, -newest]))
+        if most != -least:  # storage may show a host a new checkpoint late
+            raise ValueError(
+                f"{self.members[0].folder.path}: the newest checkpoint that each host sees is not "
+                f"the same (here {newest:,}); resume once the storage shows all of them one"
+            )
+        return None if newest < 0 else newest
 
     def _loaded(self, k: int, step: int) -> Any:
         """The state of a member alone."""

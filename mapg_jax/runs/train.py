@@ -104,7 +104,8 @@ def begin(config: Config, out: str | os.PathLike | None = None, devices: int | N
     place = pathlib.Path("runs" if out is None else out)
     program = hosts.by_all(lambda: _prepared(config, devices, place, 0, SMALLER))
     folder = hosts.by_first(
-        lambda: RunFolder.create(out, config), lambda: RunFolder.open(out or "")
+        lambda: RunFolder.create(out, config),
+        lambda: RunFolder(place, config),  # storage may show the others a new file late
     )
     return Run(program, [folder])
 

@@ -6,7 +6,7 @@ import numpy as np
 import oracles
 import pytest
 
-from mapg_jax.algorithms import exploration
+from mapg_jax.algorithms import exploration, shards
 from mapg_jax.algorithms.exploration import OU_DT, OU_THETA
 
 N, A = 2_000, 2
@@ -52,6 +52,17 @@ def test_every_environment_has_its_own_scale(kind):
     unit = exploration.advance(kind, jax.random.key(0), zeros, jnp.ones((1, 1)))
     noise = exploration.advance(kind, jax.random.key(0), zeros, ladder)
     np.testing.assert_allclose(noise, ladder * unit, rtol=1e-6)  # float32
+
+
+def test_scales_rise_through_all_shards():
+    """Of 2 shards on each of 2 devices, which `vmap` stands in for."""
+
+    def of_a_shard(_):
+        return exploration.scales(jnp.float32(0.05), jnp.float32(8.0), 3)
+
+    of_a_device = jax.vmap(of_a_shard, axis_name=shards.SHARD)
+    parts = jax.vmap(of_a_device, axis_name=shards.DEVICE)(jnp.zeros((2, 2)))
+    np.testing.assert_allclose(parts.reshape(-1), np.linspace(0.05, 8.0, 12), rtol=1e-6)
 
 
 def test_scales_take_even_steps_and_one_scale_is_exact():

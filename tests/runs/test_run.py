@@ -14,7 +14,7 @@ import numpy as np
 import oracles
 import pytest
 
-from mapg_jax.runs import disk
+from mapg_jax.runs import disk, hosts
 from mapg_jax.runs.checkpoints import Checkpoints
 from mapg_jax.runs.folder import RunFolder, write_json
 from mapg_jax.runs.host import precise, this_host
@@ -180,6 +180,21 @@ def test_a_damaged_checkpoint_is_set_aside_and_the_one_before_serves(
     assert 0 < run.turn < 200
     run.go()
     oracles.assert_same_run(folder, finished_run)
+
+
+def test_hosts_that_see_different_checkpoints_go_on_with_none(finished_run, tmp_path, monkeypatch):
+    """As on storage that shows one of them a new file late; nothing is set aside or removed."""
+    folder = oracles.copy_run(finished_run, tmp_path / "run")
+    steps = Checkpoints(folder.checkpoints).steps()
+    another = steps[-2]
+
+    def largest(ours):
+        return np.maximum(ours, [another, -another]) if np.ndim(ours) else ours
+
+    monkeypatch.setattr(hosts, "largest", largest)
+    with pytest.raises(ValueError, match=r"the newest checkpoint .* is not the same \(here 800\)"):
+        take_up(folder.path)
+    assert Checkpoints(folder.checkpoints).steps() == steps
 
 
 def test_rows_that_the_run_did_not_write_are_refused(finished_run, tmp_path):

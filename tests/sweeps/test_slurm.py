@@ -1,6 +1,7 @@
-"""Workers as jobs of Slurm."""
+"""Workers as jobs of Slurm, and the hosts of a run as the tasks of one."""
 
 import dataclasses
+import json
 import os
 import pathlib
 import re
@@ -8,12 +9,14 @@ import shutil
 import signal
 import socket
 import subprocess
+import sys
 import time
 
 import pytest
 import submitit
 from launched import LONG, RUN, assert_as_here, carry_out, searched
 
+from mapg_jax.runs.folder import RunFolder
 from mapg_jax.sweeps import sweep
 from mapg_jax.sweeps.launchers import launcher
 from mapg_jax.sweeps.pool import Worker
@@ -255,3 +258,20 @@ def test_what_slurm_would_not_take_is_refused_before_anything_is_written(slurm, 
         assert "\n" not in str(refusal.value)
     launcher("slurm", ["slurm_partition=all"])
     assert subprocess.check_output(["squeue", "-h"]) == b""  # nothing was submitted
+
+
+@pytest.mark.cluster
+def test_the_tasks_of_a_job_step_are_the_hosts_of_a_run(slurm, tmp_path):
+    """Who is first, how many there are and where they meet, Slurm's environment says."""
+    path = tmp_path / "run"
+    flags = "--env pendulum --preset smoke --shards 2 --steps 1000 --coordinator slurm"
+    train = [sys.executable, "-m", "mapg_jax", "train", *flags.split(), "--out", str(path)]
+    step = subprocess.run(
+        ["srun", "--ntasks=2", *train], env={**os.environ, "XLA_FLAGS": ""},
+        capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert step.returncode == 0, step.stderr[-3000:]
+    assert step.stdout.count("run folder: ") == 1  # the first alone speaks
+    (process,) = json.loads((path / "config.json").read_text())["history"]
+    assert process["host"]["devices"] == "2"
+    assert RunFolder.open(path).scored_steps() == 1000
