@@ -1,11 +1,12 @@
 """Box plots of the score over M, for Figures 1 and 5 (C2)."""
 
 import json
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from experiments import pictures, rows
+from experiments import pictures, rows, scores
 from experiments.plan import Plan
 from mapg_jax.reports.plots import draw_boxes
 from mapg_jax.runs.folder import RunFolder
@@ -36,6 +37,7 @@ def section(plan: Plan, envs: Sequence[str], picture: str) -> str:
     found = rows.of(plan.measured / FILE, runs(plan, envs))
     if not found:
         return rows.missing(runs(plan, envs))
+    refuse_other_means(plan, envs, found)
     figure = draw_boxes(by_task(plan, found, envs), "return of an episode")
     return (
         f"![Score over M]({pictures.save(plan, figure, picture)})\n\n"
@@ -44,6 +46,20 @@ def section(plan: Plan, envs: Sequence[str], picture: str) -> str:
         "a dot is the mean of one seed, and their scatter is what tells M apart from chance. M = 1 "
         "is DDPG."
     )
+
+
+def refuse_other_means(plan: Plan, envs: Sequence[str], found: Sequence[rows.Row]) -> None:
+    """Raises ValueError where a score is not the mean of the returns of its episodes."""
+    scored = {tuple(map(str, x.run)): x.return_mean for x in scores.of(plan, runs(plan, envs))}
+    for row in found:
+        mean = np.mean([float(x) for x in row["returns"].split()])
+        score = scored.get(tuple(row[name] for name in rows.COLUMNS), mean)
+        if not math.isclose(mean, score, rel_tol=1e-4, abs_tol=1e-3):  # returns have six digits
+            raise ValueError(
+                f"{plan.measured / FILE}: the episodes of {row['env']}, {row['algorithm']}, M = "
+                f"{row['heads']}, seed {row['seed']} return {mean:.6g} on average, and its score "
+                f"is {score:.6g}: one of them is damaged"
+            )
 
 
 def by_task(plan: Plan, found: Sequence[rows.Row], envs: Sequence[str]):

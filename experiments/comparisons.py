@@ -176,7 +176,9 @@ def _size(comparison: Comparison, pairs: Mapping[str, Pair]) -> str:
         return ""
     scaled = {env: (ours, ratios[env] * theirs) for env, (ours, theirs) in pairs.items()}
     p = van_elteren(comparison.signed(scaled)).below
-    return f"{'' if p < ALPHA else 'not '}smaller than the paper's difference, p = {p:.2g}"
+    return (
+        f"{'' if p < ALPHA else 'not shown to be '}smaller than the paper's difference, p = {p:.2g}"
+    )
 
 
 def _tests_of_each(comparison: Comparison, pairs, late: Mapping[str, Pair]) -> str:

@@ -147,7 +147,7 @@ def draw(bins: Sequence[rows.Row], least: Sequence[rows.Row], episode: Sequence[
         label = f"{label}, median of n = {len(lines)}"
         left.plot(ANGLES[seen], median, linewidth=2, color=colour, linestyle=style, label=label)
     left.set(xlabel="degrees from hanging down", ylabel="spread of the actions")
-    left.set(xticks=range(0, 181, 30), title="Mean over all states", yscale="log")
+    left.set(xticks=range(0, 181, 30), title="By angle, over all states", yscale="log")
     left.legend(frameon=False)
 
     time = [row["step"] for row in episode]

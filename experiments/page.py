@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from experiments import carryover, claims, fig2, reference, rows, scores, table2
 from experiments.catalogue import TITLES, Name, experiment, runs
 from experiments.plan import FIRST_SEED, Plan, is_the_papers
-from experiments.verdicts import Verdict
+from experiments.verdicts import CONTRADICTED, SUPPORTED, UNDECIDED, Verdict
 from mapg_jax.reports.document import Table
 from mapg_jax.reports.results import Result
 from mapg_jax.runs.whole_file import whole_file
@@ -20,11 +20,12 @@ uniformly, acts, and it alone learns. Does that do what its paper says? The pape
 each task and algorithm, a cell of its Table 2.
 
 **Method.** Every cell has the seeds that [the protocol](../experiments/protocol.md), version 2,
-named before the first of them, the same in all: eight or five for the paper's claims, on Humanoid
-six or two. A run has {steps:,} steps, of C3 {short:,} and of C10 {half:,}, and a score over
-{episodes} episodes. Scores are compared by exact permutation tests, P and C2a have a bootstrap's
-interval, a number that each seed has (C3, C4, C6, C8) Student's over seeds, and C7 over rounds of
-timing. A claim is judged once, when all its runs are there.
+named before the first of them, from 2000 on: for the paper's claims eight of DDPG and M = 10 and
+five of the other arms, on Humanoid six and two. A run has {steps:,} steps, of C3 {short:,} and of
+C10 {half:,}, and a score over {episodes} episodes. Scores are compared by exact permutation tests,
+P and C2a have a bootstrap's interval, a number that each seed has (C3, C4, C6, C8) Student's over
+seeds, and C7 over rounds of timing. A claim is judged when all its runs are there or have diverged;
+what was made or judged anew, and why, stands under the protocol's Changes.
 
 **Answer.** {answer}
 
@@ -59,15 +60,27 @@ def write(plan: Plan, sections: Mapping[Name, str]) -> pathlib.Path:
 
 def answer(ledger: Sequence[Verdict]) -> str:
     """The claims by their verdicts: in words where there is one."""
-    by_verdict: dict[str, list[str]] = {}
-    for verdict in ledger:
-        waits = verdict.verdict.startswith("not yet")
-        kind = "not yet judged" if waits else verdict.verdict
-        shown = verdict.claim if waits else f"{verdict.text} ({verdict.claim})"
-        by_verdict.setdefault(kind, []).append(shown)
-    waiting = by_verdict.pop("not yet judged", [])
-    sentences = [f"{kind.capitalize()}: {'; '.join(of)}." for kind, of in by_verdict.items()]
+    waiting = [v.claim for v in ledger if v.verdict.startswith("not yet")]
+    judged = [v for v in ledger if v.claim not in waiting]
+    kinds = sorted({v.verdict for v in judged})
+    kinds.sort(key=lambda kind: (SUPPORTED, CONTRADICTED, UNDECIDED, kind).index(kind))
+    sentences = [
+        f"{kind.capitalize()}: {'; '.join(_in_words([v for v in judged if v.verdict == kind]))}."
+        for kind in kinds
+    ]
     return " ".join([*sentences, *([f"Not yet judged: {', '.join(waiting)}."] if waiting else [])])
+
+
+def _in_words(verdicts: Sequence[Verdict]) -> list[str]:
+    """What is claimed; two forms of a claim in one."""
+    forms: dict[str, list[Verdict]] = {}
+    for verdict in verdicts:
+        forms.setdefault(verdict.text.partition(", ")[0], []).append(verdict)
+    found = []
+    for text, of in forms.items():
+        how = " and ".join(v.text.partition(", ")[2] for v in of)
+        found.append(f"{text}{how and f', {how}'} ({', '.join(v.claim for v in of)})")
+    return found
 
 
 def abstract(plan: Plan, ledger: Sequence[Verdict]) -> str:

@@ -25,15 +25,13 @@ def read(plan: Plan) -> list[Result]:
     """The rows of the plan's version of the protocol, which has a file of its own.
 
     Raises:
-      ValueError: if a row of version 2 is not as the protocol asks of a run, or a run has two.
+      ValueError: if a row is not as that version of the protocol asks of a run, or a run has two.
     """
     found = read_csv(path(plan))
-    if plan.version == 1:
-        return found
     seen = set()
     for result in found:
         run = f"{result.env}, {result.algorithm}, M = {result.heads}, seed {result.seed}"
-        if reason := _flaw(result):
+        if reason := _flaw(result, plan.version):
             raise ValueError(f"{path(plan)}: {run} {reason}; leave it out")
         if result.run in seen:
             raise ValueError(f"{path(plan)} holds two scores of {run}; leave one out")
@@ -41,12 +39,22 @@ def read(plan: Plan) -> list[Result]:
     return found
 
 
-def _flaw(result: Result) -> str:
-    """What a row has otherwise than version 2 of the protocol asks; or ''."""
-    if result.seed < FIRST_SEED:
-        return f"is not of version 2 of the protocol, whose seeds are {FIRST_SEED} and above"
+def _flaw(result: Result, version: int) -> str:
+    """What a row has otherwise than that version of the protocol asks; or ''."""
+    if (result.seed < FIRST_SEED) != (version == 1):
+        bounds = f"{FIRST_SEED} and above" if version == 2 else f"below {FIRST_SEED}"
+        return f"is not of version {version} of the protocol, whose seeds are {bounds}"
+    shares = {name: x for name, x in result.metrics.items() if name.endswith("_share")}
+    if outside := [name for name, x in shares.items() if not 0 <= x <= 1]:
+        return f"has a {outside[0]} of {shares[outside[0]]:g}, and a share is from 0 to 1"
+    if result.return_std < 0:
+        return f"has a return_std of {result.return_std:g}, and a deviation is at least 0"
+    if version == 1:
+        return ""  # which recorded nothing of the machine
     if without := [name for name in RECORDED if not getattr(result, name)]:
         return f"does not name its {without[0]}, as version 2 of the protocol asks of a run"
+    if result.engine != result.physics:
+        return f"was trained on {result.engine} and scored on {result.physics}"
     return ""
 
 

@@ -17,6 +17,8 @@ COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#5
 """Okabe and Ito's, which the colour-blind tell apart too."""
 STYLES = ("-", "--", ":")
 """Of lines, from the eighth on, when the colours come round again."""
+DASHES = ("-", "--", ":", "-", "-.", (0, (5, 1, 1, 1, 1, 1)))
+"""Of lines that cross often: colours that are near each other have other dashes."""
 TOGETHER = "together"
 """Names the line of all tasks in a forest plot."""
 PANEL = (4.3, 3.2)  # inches
@@ -172,7 +174,7 @@ def draw_profiles(
         for arm, values in of_task.items():
             place = arms.index(arm)
             x, y = profile(values)
-            style = STYLES[place % len(STYLES)]
+            style = DASHES[place % len(DASHES)]
             axes.step(x, y, where="post", color=COLOURS[place % len(COLOURS)], linestyle=style,
                       label=f"{arm} (n = {len(values)})")  # fmt: skip
         axes.set_ylim(-0.03, 1.03)

@@ -190,7 +190,7 @@ def test_scores_of_two_versions_of_the_tasks_do_not_mix(made, tmp_path):
         paper.make(mixed, NAMES, training=False)
 
 
-@pytest.mark.parametrize("other", [{"versions": "mujoco 9"}, {"physics": "mjx"}])
+@pytest.mark.parametrize("other", [{"versions": "mujoco 9"}, {"physics": "mjx", "engine": "mjx"}])
 def test_nothing_is_trained_that_would_not_compare(made, tmp_path, other):
     mixed = made._replace(runs=tmp_path / "runs", results=tmp_path / "results")
     found = scores.of(made, paper.runs(made, ["fig3"]))
@@ -345,6 +345,12 @@ def test_a_cell_has_the_seeds_of_the_protocol_and_no_more():
         ({"seed": 150}, "seed 150 is not of version 2 of the protocol, whose seeds are 2000 and"),
         ({"processor": ""}, "seed 2000 does not name its processor, as version 2"),
         ({"threads": ""}, "seed 2000 does not name its threads, as version 2"),
+        ({"return_std": -5.0}, "seed 2000 has a return_std of -5, and a deviation is at least 0"),
+        (
+            {"metrics": {"lap_share": 7.5}},
+            "seed 2000 has a lap_share of 7.5, and a share is from 0 to 1",
+        ),
+        ({"engine": "mjx"}, "seed 2000 was trained on mjx and scored on native; leave it out"),
         (
             {"select": "argmax-q"},
             "holds a run that was scored by 100 episodes and argmax-q; choose",
@@ -360,6 +366,26 @@ def test_rows_that_the_protocol_does_not_know_are_refused(tmp_path, changes, mes
     with pytest.raises(ValueError, match=message) as error:
         paper.make(plan, ["table2"], training=False)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("seed", "message"),
+    [
+        (0, "holds two scores of hopper, mapg, M = 10, seed 0; leave one out"),
+        (2000, "seed 2000 is not of version 1 of the protocol, whose seeds are below 2000; leave"),
+    ],
+)
+def test_rows_that_version_1_does_not_know_are_refused(seed, message, tmp_path):
+    """A seed of version 2, or a row that stands there twice."""
+    plan = make_plan("paper", 1600, 3, tmp_path / "runs", tmp_path)
+    file = scores.path(plan._replace(version=1))
+    append_csv(file, [oracles.result(seed=seed, steps=1600)])
+    ours = oracles.result(seed=2001, steps=1600, engine="native", **ON_ONE)
+    append_csv(scores.path(plan), [ours])
+    with file.open("a") as out:
+        out.write(file.read_text().splitlines(keepends=True)[-1])
+    with pytest.raises(ValueError, match=message):
+        paper.make(plan, ["table2"], training=False)
 
 
 def test_the_versions_of_the_protocol_are_apart(tmp_path):

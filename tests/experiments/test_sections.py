@@ -81,6 +81,18 @@ def test_boxes_of_the_episodes(plan, name, env):
     assert {m: [x.mean() for x in seeds] for m, seeds in found.items() if seeds} == {"10": [49.5]}
 
 
+def test_episodes_whose_mean_is_not_the_score_are_refused(plan):
+    config = plan.config("walker2d", **MAPG)
+    lines = [{**rows.identity(config), "returns": "1 2 6"}]
+    rows.append(plan.measured / boxes.FILE, lines)
+    write(plan, "walker2d", MAPG, [3.0])
+    page.sections(plan)
+    scores.path(plan).unlink()
+    write(plan, "walker2d", MAPG, [30.0])
+    with pytest.raises(ValueError, match="walker2d, mapg, M = 10, seed 2000 return 3 on average"):
+        page.sections(plan)
+
+
 def test_laps_and_metres(plan):
     write_laps(plan, DDPG, [0.0, 0.0, 0.0])
     write_laps(plan, MAPG, [0.5])

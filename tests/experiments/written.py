@@ -14,8 +14,9 @@ ON_ONE = {"processor": "A", "instructions": "x", "commit": "abc", "threads": "1"
 def result(config, score, **extra) -> Result:
     rest = {"return_std": 1.0, "episodes": 100, "select": "uniform", "physics": "native",
             "versions": "", "seconds": 1.0, "date": "2026-01-01", "command": "",
-            "engine": "native", **ON_ONE}  # fmt: skip
-    return Result(**run_key(config)._asdict(), return_mean=float(score), **{**rest, **extra})
+            **ON_ONE, **extra}  # fmt: skip
+    rest.setdefault("engine", rest["physics"])
+    return Result(**run_key(config)._asdict(), return_mean=float(score), **rest)
 
 
 def write(plan, env, changes, values):
