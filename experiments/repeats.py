@@ -82,8 +82,8 @@ def section(plan: Plan) -> str:
         for row in found
     ]
     return Table(header, lines).markdown() + (
-        "\n\nSeed 0 of version 1, whose machine was not recorded, made again by the code of that "
-        "commit, which has changed since by rounding alone. Bits hold on one machine and commit: "
+        "\n\nSeed 0 of version 1, whose machine was not recorded, made again by the code of the "
+        "commit named, which is not that of then. Bits hold on one machine and commit: "
         "else rounding differs, and after some thousand updates so does the run, which is then "
         "another draw from the same distribution. These two enter no other number."
     )
