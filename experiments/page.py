@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from experiments import carryover, claims, fig2, reference, rows, scores, table2
 from experiments.catalogue import TITLES, Name, experiment, runs
-from experiments.plan import FIRST_SEED, Plan, is_the_papers
+from experiments.plan import FIRST_SEED, SEEDS, SEEDS_OF_HUMANOID, Plan, is_the_papers
 from experiments.verdicts import CONTRADICTED, SUPPORTED, UNDECIDED, Verdict
 from mapg_jax.reports.document import Table
 from mapg_jax.reports.results import Result
@@ -20,12 +20,12 @@ uniformly, acts, and it alone learns. Does that do what its paper says? The pape
 each task and algorithm, a cell of its Table 2.
 
 **Method.** Every cell has the seeds that [the protocol](../experiments/protocol.md), version 2,
-named before the first of them, from 2000 on: for the paper's claims eight of DDPG and M = 10 and
-five of the other arms, on Humanoid six and two. A run has {steps:,} steps, of C3 {short:,} and of
-C10 {half:,}, and a score over {episodes} episodes. Scores are compared by exact permutation tests,
-P and C2a have a bootstrap's interval, a number that each seed has (C3, C4, C6, C8) Student's over
-seeds, and C7 over rounds of timing. A claim is judged when all its runs are there or have diverged;
-what was made or judged anew, and why, stands under the protocol's Changes.
+named before the first of them, from {first} on: for the claims {core} of DDPG and M = 10, {others} of
+the other arms, on Humanoid {core_of_humanoid} and {others_of_humanoid}. A run has {steps:,} steps, of
+C3 {short:,} and of C10 {half:,}, and a score over {episodes} episodes. Scores are compared by exact
+permutation tests, P and C2a have a bootstrap's interval, a number that each seed has (C3, C4, C6,
+C8) Student's over seeds, and C7 over rounds of timing. A claim is judged when all its runs are
+there or have diverged; what was made or judged anew, and why, stands under the protocol's Changes.
 
 **Answer.** {answer}
 
@@ -62,11 +62,11 @@ def answer(ledger: Sequence[Verdict]) -> str:
     """The claims by their verdicts: in words where there is one."""
     waiting = [v.claim for v in ledger if v.verdict.startswith("not yet")]
     judged = [v for v in ledger if v.claim not in waiting]
-    kinds = sorted({v.verdict for v in judged})
-    kinds.sort(key=lambda kind: (SUPPORTED, CONTRADICTED, UNDECIDED, kind).index(kind))
+    kinds = dict.fromkeys([SUPPORTED, CONTRADICTED, UNDECIDED, *(v.verdict for v in judged)])
     sentences = [
-        f"{kind.capitalize()}: {'; '.join(_in_words([v for v in judged if v.verdict == kind]))}."
+        f"{kind.capitalize()}: {'; '.join(_in_words(of))}."
         for kind in kinds
+        if (of := [v for v in judged if v.verdict == kind])
     ]
     return " ".join([*sentences, *([f"Not yet judged: {', '.join(waiting)}."] if waiting else [])])
 
@@ -87,6 +87,9 @@ def abstract(plan: Plan, ledger: Sequence[Verdict]) -> str:
     """Ten lines: question, method, answer, limits."""
     wanted = runs(plan, list(TITLES))
     return HEAD.format(
+        first=FIRST_SEED,
+        **SEEDS,
+        **{f"{arm}_of_humanoid": n for arm, n in SEEDS_OF_HUMANOID.items()},
         steps=plan.base.steps,
         short=fig2.runs(plan)[0].steps,
         half=carryover.steps(plan),

@@ -99,6 +99,7 @@ def _run(command, arguments, out: TextIO) -> None:
             sys.exit(complain(f"{said}; fewer environments or smaller batches need less", 1))
         if jax.process_count() == 1:
             raise
+        out.flush()  # a score may be in it
         # An exit would wait for the one that is lost, and abort.
         remedy = "what is saved is whole, and goes on with mapg resume on all hosts"
         leave_at_once(complain(f"a process of this run is lost ({said}); {remedy}", 1))

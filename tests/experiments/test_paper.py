@@ -1,6 +1,5 @@
 """The experiments from end to end, in their smallest form."""
 
-import collections
 import dataclasses
 import json
 import shutil
@@ -8,31 +7,25 @@ import signal
 
 import oracles
 import pytest
-from written import ON_ONE
 
 from experiments import (
-    carryover,
-    collapse,
     fig2,
     fig3,
     overhead,
     page,
     paper,
-    reference,
     rows,
     scores,
-    several,
 )
 from experiments import plan as plan_
 from experiments.catalogue import LATER, TITLES, Name, experiment
-from experiments.plan import A3C, DDPG, MAPG, NO_NOISE, RULES, Plan, in_order, item, make_plan, name
+from experiments.plan import RULES, Plan, make_plan
 from mapg_jax.reports.results_csv import append_csv
 from mapg_jax.runs.folder import RunFolder
 from mapg_jax.runs.member import DIVERGED
 from mapg_jax.runs.sealing import write_score
 from mapg_jax.runs.signals import StoppedError
 from mapg_jax.sweeps.worker import failure_file
-from mapg_jax.training.config import Config
 
 ALL: list[Name] = [name for name in TITLES if name != "repeats" and name not in LATER]
 NAMES: list[Name] = ["fig2", "fig3", "returns"]
@@ -51,11 +44,6 @@ def small(folder) -> Plan:
         carried=(),
         timing=(2, 0.01),
     )
-
-
-def test_steps_that_no_whole_number_of_turns_makes_are_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"must be a multiple of 40, .* got 501, and 520 is near"):
-        make_plan("smoke", 501, 1, tmp_path, tmp_path)
 
 
 @pytest.fixture(scope="module")
@@ -292,122 +280,3 @@ def test_results_that_cannot_be_written_are_refused_before_anything_is_trained(t
     with pytest.raises(ValueError, match="results cannot be created: Not a directory"):
         paper.make(plan, ["fig2"])
     assert not plan.runs.exists()
-
-
-def test_the_order_is_that_of_the_protocol(monkeypatch):
-    monkeypatch.setattr(plan_, "RULES", RULES)  # of which the plan that is made here has one
-    plan = Plan(Config(), None, *[None] * 2)
-    ordered = paper.runs(plan, list(paper.TITLES))
-    folders = [name(config, plan) for config in ordered]
-    assert len(set(folders)) == len(folders)
-    later = [
-        *several.runs(plan),
-        *collapse.runs(plan),
-        *carryover.runs(plan),
-        *reference.runs(plan),
-    ]
-    first = ordered[: -len(later)]
-    assert [*in_order(plan, reversed(first)), *later] == ordered
-    counts = collections.Counter(item(config, plan) for config in first)
-    assert [counts[number] for number in range(1, 5)] == [76, 80, 87, 8]
-    assert counts[5] == 10 * len(plan.rules())
-    # NAF on two tasks, the others on four, M = 1 and 10; and the marginal ratio of two of them
-    counts = collections.Counter(config.algorithm for config in later)
-    small, restricted, one_is_best = 6 * 10, 2 * 5, 4 * 5  # runs of an arm
-    assert len(several.runs(plan)) == 8 * (small + restricted) + 3 * one_is_best
-    for module in (several, reference):
-        counts = counts - collections.Counter(config.algorithm for config in module.runs(plan))
-    assert counts == {"mapg": 150, "naf": 20, "trpo": 60, "ppo": 60, "td3": 40, "sac": 40}
-    assert [config.seed for config in carryover.runs(plan)[:5]] == [2000] * 4 + [2001]
-    assert {config.seed for config in ordered[:8]} == {2000}
-    assert {(config.env, config.heads) for config in ordered[64:76]} == {
-        ("humanoid", 1), ("humanoid", 10),
-    }  # fmt: skip
-
-
-def test_a_cell_has_the_seeds_of_the_protocol_and_no_more():
-    plan = Plan(Config(), None, *[None] * 2)
-    sizes = {
-        (env, heads): [config.seed for config in plan.over_seeds(env, heads=heads)]
-        for env in ("hopper", "humanoid")
-        for heads in (1, 50)
-    }
-    assert {cell: len(seeds) for cell, seeds in sizes.items()} == {
-        ("hopper", 1): 8, ("hopper", 50): 5, ("humanoid", 1): 6, ("humanoid", 50): 2,
-    }  # fmt: skip
-    assert sizes["hopper", 50] == [2000, 2001, 2002, 2003, 2004]
-    assert len(plan._replace(seeds=99).over_seeds("hopper", **DDPG)) == 8
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"seed": 150}, "seed 150 is not of version 2 of the protocol, whose seeds are 2000 and"),
-        ({"processor": ""}, "seed 2000 does not name its processor, as version 2"),
-        ({"threads": ""}, "seed 2000 does not name its threads, as version 2"),
-        ({"return_std": -5.0}, "seed 2000 has a return_std of -5, and a deviation is at least 0"),
-        (
-            {"metrics": {"lap_share": 7.5}},
-            "seed 2000 has a lap_share of 7.5, and a share is from 0 to 1",
-        ),
-        ({"engine": "mjx"}, "seed 2000 was trained on mjx and scored on native; leave it out"),
-        (
-            {"select": "argmax-q"},
-            "holds a run that was scored by 100 episodes and argmax-q; choose",
-        ),
-        ({"episodes": 1}, "holds a run that was scored by 1 episodes and uniform; choose"),
-    ],
-)
-def test_rows_that_the_protocol_does_not_know_are_refused(tmp_path, changes, message):
-    plan = make_plan("paper", 1600, 3, tmp_path / "runs", tmp_path)
-    usual = {"seed": 2000, "episodes": 100, "engine": "native", **ON_ONE}
-    found = oracles.result(steps=1600, **{**usual, **changes})
-    append_csv(scores.path(plan), [found])
-    with pytest.raises(ValueError, match=message) as error:
-        paper.make(plan, ["table2"], training=False)
-    assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("seed", "message"),
-    [
-        (0, "holds two scores of hopper, mapg, M = 10, seed 0; leave one out"),
-        (2000, "seed 2000 is not of version 1 of the protocol, whose seeds are below 2000; leave"),
-    ],
-)
-def test_rows_that_version_1_does_not_know_are_refused(seed, message, tmp_path):
-    """A seed of version 2, or a row that stands there twice."""
-    plan = make_plan("paper", 1600, 3, tmp_path / "runs", tmp_path)
-    file = scores.path(plan._replace(version=1))
-    append_csv(file, [oracles.result(seed=seed, steps=1600)])
-    ours = oracles.result(seed=2001, steps=1600, engine="native", **ON_ONE)
-    append_csv(scores.path(plan), [ours])
-    with file.open("a") as out:
-        out.write(file.read_text().splitlines(keepends=True)[-1])
-    with pytest.raises(ValueError, match=message):
-        paper.make(plan, ["table2"], training=False)
-
-
-def test_the_versions_of_the_protocol_are_apart(tmp_path):
-    plan = make_plan("paper", 1600, 3, tmp_path / "runs", tmp_path)
-    earlier = plan._replace(version=1)
-    for version, seed, score in ((earlier, 0, 1.0), (plan, 2000, 5.0)):
-        made = oracles.result(seed=seed, steps=1600, return_mean=score, episodes=100)
-        append_csv(scores.path(version), [made._replace(engine="native", **ON_ONE)])
-    cell = plan.over_seeds("hopper", **MAPG)
-    assert scores.means(plan, cell) == [5.0]
-    assert scores.means(earlier, earlier.over_seeds("hopper", **MAPG)) == [1.0]
-    assert len(scores.means(plan, earlier.over_seeds("hopper", **MAPG))) == 0
-
-
-def test_names_say_what_sets_a_run_apart():
-    plan = Plan(Config(), 1, *[None] * 2)
-    for changes, expected in (
-        ({"heads": 1}, "hopper-ddpg-m1-s2000"),
-        (A3C, "hopper-a3c-m1-s2000"),
-        ({**MAPG, **NO_NOISE}, "hopper-mapg-m10-none-s2000"),
-        ({**MAPG, "gradient": "all"}, "hopper-mapg-m10-all-s2000"),
-        ({**MAPG, "tau": 0.5}, "hopper-mapg-m10-tau0.5-s2000"),
-        ({**MAPG, "algorithm": "ppo", "gradient": "marginal"}, "hopper-ppo-m10-marginal-s2000"),
-    ):
-        assert name(plan.config("hopper", **changes), plan) == expected
