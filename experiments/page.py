@@ -20,12 +20,13 @@ uniformly, acts, and it alone learns. Does that do what its paper says? The pape
 each task and algorithm, a cell of its Table 2.
 
 **Method.** Every cell has the seeds that [the protocol](../experiments/protocol.md), version 2,
-named before the first of them, from {first} on: for the claims {core} of DDPG and M = 10, {others} of
-the other arms, on Humanoid {core_of_humanoid} and {others_of_humanoid}. A run has {steps:,} steps, of
-C3 {short:,} and of C10 {half:,}, and a score over {episodes} episodes. Scores are compared by exact
-permutation tests, P and C2a have a bootstrap's interval, a number that each seed has (C3, C4, C6,
-C8) Student's over seeds, and C7 over rounds of timing. A claim is judged when all its runs are
-there or have diverged; what was made or judged anew, and why, stands under the protocol's Changes.
+named before the first of them, from {first} on: for the claims {core} of DDPG and M = 10, {others}
+of the other arms, on Humanoid {core_of_humanoid} and {others_of_humanoid}. A run has {steps:,}
+steps, of C3 {short:,} and of C10 {half:,}, and a score over {episodes} episodes. Scores are
+compared by exact permutation tests, P and C2a have a bootstrap's interval, a number that each seed
+has (C3, C4, C6, C8) Student's over seeds, and C7 over rounds of timing. A claim is judged when all
+its runs are there or have diverged; what was made or judged anew, and why, stands under the
+protocol's Changes.
 
 **Answer.** {answer}
 
