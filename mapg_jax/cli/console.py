@@ -42,5 +42,8 @@ def own_stdout():
             yield out
         finally:
             sys.stdout.flush()
-            out.flush()
+            try:
+                out.flush()
+            except BrokenPipeError:  # whoever read it has gone, as `head` has
+                os.dup2(os.open(os.devnull, os.O_WRONLY), ours)
             os.dup2(ours, 1)
