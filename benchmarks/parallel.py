@@ -112,20 +112,24 @@ def runs() -> Iterator[Run]:
 def measure(run: Run, stopping: threading.Event) -> list[dict[str, float]]:
     """The evaluations of a training until its time is up, the time to compile included."""
     with tempfile.TemporaryDirectory() as parent:
-        out = pathlib.Path(parent) / "run"
+        out, said = pathlib.Path(parent) / "run", pathlib.Path(parent) / "said"
         command = [sys.executable, "-P", "-m", "mapg_jax", "train", *run.flags(), "--out", out]
         environment = {**os.environ, "PYTHONPATH": str(commands.ROOT), "NPROC": "1"}
-        with subprocess.Popen(
-            command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-        ) as process:
+        with (
+            said.open("w") as file,  # a pipe that nobody reads is full after 700 evaluations
+            subprocess.Popen(
+                command, env=environment, stdout=subprocess.DEVNULL, stderr=file
+            ) as process,
+        ):
             for _ in range(60 * MINUTES[-1]):
                 if stopping.wait(1.0) or process.poll() is not None:
                     break
             ended = process.poll() is not None
             process.send_signal(signal.SIGTERM)
-            said = process.communicate()[1]
         if ended:
-            raise RuntimeError(f"{shlex.join(run.flags())} ended by itself: {said[-500:]}")
+            raise RuntimeError(
+                f"{shlex.join(run.flags())} ended by itself: {said.read_text()[-500:]}"
+            )
         return [] if stopping.is_set() else read_metrics(out / "metrics.csv")
 
 

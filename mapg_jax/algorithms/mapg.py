@@ -52,9 +52,8 @@ class Mapg(Deterministic):
             "random_start": True,
             "action_layer": 1,
         },
-        "parallel": {  # the proportions of PQL's DDPG (Li et al. 2023): fast targets, a ladder
-            "actor_learning_rate": 5e-4,
-            "critic_learning_rate": 5e-4,
+        "parallel": {  # the proportions of PQL's DDPG (Li et al. 2023): fast targets, a ladder.
+            # Its rates, 5e-4 each, are not taken: small actors saturate before the critic is right.
             "critic_l2": 0.0,
             "tau": 0.05,
             "max_gradient_norm": 0.5,
