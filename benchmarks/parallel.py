@@ -320,6 +320,11 @@ def page(found: Mapping[Run, Curve]) -> str:
         returns(found),
         document.Paragraph("The highest mean over seeds, of all algorithms and both presets:"),
         best(found),
+        document.Paragraph(
+            "`mapg` by `parallel` learns driving and Pendulum within minutes and does not keep "
+            "them: [its one critic overestimates]"
+            "(../benchmarks/notes.md#preset-parallel-rates-that-saturate)."
+        ),
         document.Heading("Driving: episodes with a whole lap", 2),
         document.Paragraph("Of the last evaluation so far, by seed."),
         laps(found),
