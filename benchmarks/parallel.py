@@ -187,16 +187,7 @@ def returns(found: Mapping[Run, Curve]) -> document.Table:
         for seeds in [[_after(found, (task, algorithm, x), minutes) for x in PRESETS]]
         if any(seeds)
     ]
-    header = (
-        "task",
-        "algorithm",
-        "minutes",
-        "paper",
-        "parallel",
-        "parallel − paper",
-        "wins",
-        "seeds",
-    )
+    header = ("task", "algorithm", "minutes", *PRESETS, "parallel − paper", "wins", "seeds")
     return document.Table(header, rows)
 
 
@@ -204,13 +195,14 @@ def best(found: Mapping[Run, Curve]) -> document.Table:
     """The algorithm and preset whose mean over seeds is the highest after some minutes."""
     rows = []
     for task, of_task in TASKS.items():
-        cells = [(task, a, preset) for a in of_task.algorithms for preset in PRESETS]
         row = [task]
         for minutes in MINUTES:
             means = {
-                f"{cell[1]}, {cell[2]}": np.mean(values)
-                for cell in cells
-                if (values := _after(found, cell, minutes)) and np.isfinite(values).all()
+                f"{algorithm}, {preset}": np.mean(values)
+                for algorithm in of_task.algorithms
+                for preset in PRESETS
+                if (values := _after(found, (task, algorithm, preset), minutes))
+                and np.isfinite(values).all()
             }
             leader = max(means, key=means.__getitem__, default="")
             row.append(f"{leader}: {means[leader]:,.0f}" if leader else "")
@@ -225,11 +217,9 @@ def _after(found: Mapping[Run, Curve], cell: tuple, minutes: float) -> list[floa
 
 def _compared(paper: Sequence[float], parallel: Sequence[float]) -> tuple[str, ...]:
     """Both presets, what `parallel` gains, which wins, and how many seeds there are of each."""
-    seeds = f"{len(paper)}, {len(parallel)}"
     gain = np.mean(parallel) - np.mean(paper) if paper and parallel else np.nan
-    if not np.isfinite(gain):
-        return _range(paper), _range(parallel), "", "", seeds
-    return _range(paper), _range(parallel), f"{gain:+,.0f}", _wins(paper, parallel), seeds
+    both = (f"{gain:+,.0f}", _wins(paper, parallel)) if np.isfinite(gain) else ("", "")
+    return _range(paper), _range(parallel), *both, f"{len(paper)}, {len(parallel)}"
 
 
 def _wins(paper: Sequence[float], parallel: Sequence[float]) -> str:
@@ -314,16 +304,15 @@ def page(found: Mapping[Run, Curve]) -> str:
             "The return of the last evaluation so far (10 episodes, of `parallel` 128): the mean "
             "over seeds, and between which they lie. A preset wins where all its seeds are above "
             "all of the other's; of three against three alike, one of them does by chance in one "
-            "comparison of ten, and of one against one always. Machines differ; as a rule the "
-            "presets of a seed go side by side on the same one."
+            "comparison of ten, and of one against one always. Most presets of a seed went "
+            "side by side; the others on a machine that may have been faster or slower by then."
         ),
         returns(found),
         document.Paragraph("The highest mean over seeds, of all algorithms and both presets:"),
         best(found),
         document.Paragraph(
-            "`mapg` by `parallel` learns driving and Pendulum within minutes and does not keep "
-            "them: [its one critic overestimates]"
-            "(../benchmarks/notes.md#preset-parallel-rates-that-saturate)."
+            "What was tried where `mapg` by `parallel` loses what it has learned: "
+            "[notes](../benchmarks/notes.md#preset-parallel-rates-that-saturate)."
         ),
         document.Heading("Driving: episodes with a whole lap", 2),
         document.Paragraph("Of the last evaluation so far, by seed."),

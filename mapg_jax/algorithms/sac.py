@@ -111,7 +111,7 @@ class Sac:
     selects: ClassVar[tuple[str, ...]] = ("uniform", "argmax-q", "mean", "first", "sample")
     presets: ClassVar = {
         "reference": {"learning_starts": 5_000, "random_start": True, "action_layer": 1},
-        # As for `mapg`, after PQL's DDPG (Li et al. 2023).
+        # After PQL's DDPG (Li et al. 2023).
         "parallel": {"actor_learning_rate": 5e-4, "critic_learning_rate": 5e-4, "tau": 0.05},
     }
 

@@ -75,7 +75,7 @@ class Td3(Deterministic):
             "random_start": True,
             "action_layer": 1,
         },
-        # As for `mapg`, after PQL's DDPG (Li et al. 2023).
+        # After PQL's DDPG (Li et al. 2023).
         "parallel": {"actor_learning_rate": 5e-4, "critic_learning_rate": 5e-4, "tau": 0.05,
                      "noise_scale": 0.05, "noise_scale_last": 0.8},
     }  # fmt: skip
