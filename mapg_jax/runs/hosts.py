@@ -31,11 +31,15 @@ def join(address: str | None, count: int | None, index: int | None) -> None:
       index: of this one, from 0.
 
     Raises:
-      ValueError: if a number is missing and there is no cluster to ask, the address has no port, or
-        the processes do not meet.
+      ValueError: if a number is missing and there is no cluster to ask, the address has no port,
+        there is no process of that index, or the processes do not meet.
     """
     if address is not None and not re.fullmatch(r".+:\d+", address):
         raise ValueError(f"--coordinator must be HOST:PORT or slurm, got {address!r}")
+    if count is not None and count < 1:
+        raise ValueError(f"--hosts must be at least 1, got {count}")
+    if count is not None and index is not None and not 0 <= index < count:
+        raise ValueError(f"--host must be from 0 to {count - 1} of --hosts {count}, got {index}")
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
     if "SLURM_JOB_ID" not in os.environ and None in (address, count, index):
         raise ValueError(

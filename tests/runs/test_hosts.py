@@ -222,3 +222,16 @@ def test_an_address_without_a_port_is_refused(address):
         ValueError, match=f"--coordinator must be HOST:PORT or slurm, got '{address}'"
     ):
         hosts.join(address, 1, 0)
+
+
+@pytest.mark.parametrize(
+    ("count", "index", "said"),
+    [
+        (0, 0, "--hosts must be at least 1, got 0"),
+        (2, 2, "--host must be from 0 to 1 of --hosts 2, got 2"),
+        (2, -1, "--host must be from 0 to 1 of --hosts 2, got -1"),
+    ],
+)
+def test_a_process_that_a_run_does_not_have_is_refused(count, index, said):
+    with pytest.raises(ValueError, match=said):
+        hosts.join("localhost:1234", count, index)
