@@ -39,6 +39,8 @@ HEADER = (
 )  # fmt: skip
 MINUTES = (2, 5, 10)
 """After which runs are compared; the last is when they are stopped."""
+POINT_SECONDS = 20
+"""A point of the picture is the mean of the evaluations in so much time."""
 DRIVING = "--env-options control_hz=10 start=anywhere --time-limit 2000"
 
 
@@ -254,6 +256,16 @@ def laps(found: Mapping[Run, Curve]) -> document.Table:
     return document.Table(header, sorted(rows))
 
 
+def points(curve: Curve) -> tuple[list[float], list[float]]:
+    """Minutes and returns, means over `POINT_SECONDS` each: evaluations may be a second apart."""
+    bins = curve["seconds"] // POINT_SECONDS
+    inside = [bins == k for k in np.unique(bins)]
+    return (
+        [float(curve["seconds"][x].mean()) / 60 for x in inside],
+        [float(curve["return_mean"][x].mean()) for x in inside],
+    )
+
+
 def draw(found: Mapping[Run, Curve]) -> matplotlib.figure.Figure:
     """A panel a task: return over minutes, a line a seed, a colour an algorithm and preset."""
     figure = matplotlib.figure.Figure(figsize=(10, 7), layout="constrained")
@@ -271,7 +283,7 @@ def draw(found: Mapping[Run, Curve]) -> matplotlib.figure.Figure:
         for run, curve in found.items():
             if run.task == task:
                 style = styles[run.algorithm, run.preset]
-                axes.plot(curve["seconds"] / 60, curve["return_mean"], linewidth=1.2, **style)
+                axes.plot(*points(curve), linewidth=1.2, **style)
     shown = {(run.algorithm, run.preset) for run in found}
     for arm, style in styles.items():
         if arm not in shown:
@@ -297,7 +309,8 @@ def page(found: Mapping[Run, Curve]) -> str:
             "environments, batches of 64. `parallel` is the preset for thousands of environments, "
             "here with the paper's networks of 64-64, and batch and updates in proportion to the "
             "environments: 16 samples an environment step. M = 10 everywhere. A solid line is "
-            "`parallel`, a dashed one `paper`; each is a seed."
+            "`parallel`, a dashed one `paper`; each is a seed, and a point of it the mean of its "
+            f"evaluations in {POINT_SECONDS} s."
         ),
         document.Picture(draw(found), PICTURE.stem, "return over minutes"),
         document.Paragraph(

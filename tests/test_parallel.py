@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from benchmarks import parallel
@@ -29,6 +30,12 @@ def test_a_time_has_the_last_evaluation_until_then(found):
     assert math.isnan(parallel.after(curve, 0.4))
     assert parallel.after(curve, 0.5) == parallel.after(curve, 9.9) == -1_000.0
     assert parallel.after(curve, 10) == -300.0
+
+
+def test_a_point_of_the_picture_is_the_mean_of_what_was_close():
+    seconds, returns = np.array([19.0, 20.0, 30.0, 61.0]), np.array([1.0, 2.0, 4.0, 8.0])
+    points = parallel.points({"seconds": seconds, "return_mean": returns})
+    assert points == ([19 / 60, 25 / 60, 61 / 60], [1.0, 3.0, 8.0])
 
 
 def test_a_preset_wins_if_all_its_seeds_are_above_the_others(found):
