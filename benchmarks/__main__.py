@@ -9,6 +9,7 @@ import importlib.metadata
 import os
 import platform
 import tempfile
+from collections.abc import Callable
 
 import numpy as np
 
@@ -26,46 +27,44 @@ from benchmarks import (
 )
 
 ROUNDS = 3
-ALONE = {
-    "devices": devices.report,
-    "growth": growth.report,
-    "memory": memory.report,
-    "reach": lambda _: reach.report(),  # of what has been run: it takes hours
-}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="only see that it runs")
     parser.add_argument(
-        "--only", nargs="+", choices=list(ALONE), help="these sections of the page, anew"
+        "--only", nargs="+", choices=list(_sections(1, True)), help="these sections, anew"
     )
     arguments = parser.parse_args()
     quick = arguments.quick
     rounds = 1 if quick else ROUNDS
+    sections = _sections(rounds, quick)
     if arguments.only:
         for name in arguments.only:
-            section = ALONE[name](quick)
+            section = sections[name]()
             print(section)
             if not quick:
                 page.renew(section)
         return
-    sections = [
-        _header(rounds),
-        learning.report(rounds, quick),
-        _physics(),
-        _start(rounds),
-        driving.report(),
-        sweep.report(rounds, quick),
-        devices.report(quick),
-        growth.report(quick),
-        memory.report(quick),
-        reach.report(),
-    ]
-    text = "\n\n".join(sections) + "\n"
+    text = "\n\n".join([_header(rounds), *(section() for section in sections.values())]) + "\n"
     if not quick:
         page.FILE.write_text(text)
     print(text)
+
+
+def _sections(rounds: int, quick: bool) -> dict[str, Callable[[], str]]:
+    """What makes each section of the page, in their order there."""
+    return {
+        "learning": lambda: learning.report(rounds, quick),
+        "physics": _physics,
+        "start": lambda: _start(rounds),
+        "driving": driving.report,
+        "sweep": lambda: sweep.report(rounds, quick),
+        "devices": lambda: devices.report(quick),
+        "growth": lambda: growth.report(quick),
+        "memory": lambda: memory.report(quick),
+        "reach": reach.report,  # of what has been run: it takes hours
+    }
 
 
 def _header(rounds: int) -> str:

@@ -82,13 +82,16 @@ class Result(NamedTuple):
         return math.isfinite(self.seconds)
 
 
-def ours(task: str, algorithm: str, heads: int, flags: str, evaluate_every: int) -> Learner:
-    """By the command line, as its users run it."""
+def ours(
+    task: str, algorithm: str, heads: int, flags: str, evaluate_every: int, variant: str = ""
+) -> Learner:
+    """By the command line, as its users run it; the variant goes into the name."""
     settings = f"--algorithm {algorithm} --heads {heads} {flags}"
     rest = f"--evaluate-every {evaluate_every} --evaluation-episodes 10 --steps 2000000000"
     rest += " --no-save-replay" if registry.find(algorithm).experience == "replay" else ""
+    label = registry.find(algorithm).label(heads)
     return Learner(
-        f"mapg-jax, {registry.find(algorithm).label(heads)}",
+        f"mapg-jax, {label}{variant and f', {variant}'}",
         (sys.executable, "-m", "mapg_jax", "train", "--env", task, *f"{settings} {rest}".split()),
         f"`{settings}`",
         heads,
@@ -107,6 +110,8 @@ def peer(task: str, peer: known.Known) -> Learner:
 PAPER = "--preset paper"
 REFERENCE = "--preset reference"
 MANY = "--preset parallel --hidden 64 64 --environments {}"
+SHORT = f"{REFERENCE} --annealing-updates 0 --rollout-steps 64 --minibatches 16"
+"""PPO that updates often: rollouts of a thousand steps at most, all environments together."""
 MUJOCO = (
     ("mapg", 1, PAPER, 20_000),
     ("mapg", 10, PAPER, 20_000),
@@ -116,16 +121,36 @@ MUJOCO = (
     ("sac", 1, REFERENCE, 2_000),
 )
 """Algorithm, M, preset, and environment steps between evaluations: every 5 to 10 s of training."""
+
+
+def short(flags: str, evaluate_every: int) -> tuple[tuple[str, int, str, int, str], ...]:
+    """PPO of short rollouts, with one head and ten, evaluated as often as the peers' PPO."""
+    flags = f"{SHORT} {flags}"
+    return tuple(("ppo", m, flags, evaluate_every, "short rollouts") for m in (1, HEADS))
+
+
 OURS = {
     "pendulum": (
         ("mapg", 1, PAPER, 5_000),
         ("mapg", 10, PAPER, 5_000),
         ("ppo", 1, MANY.format(1024), 65_536),
         ("ppo", 10, MANY.format(1024), 65_536),
+        *short(
+            "--environments 16 --discount 0.9 --actor-learning-rate 1e-3 "
+            "--critic-learning-rate 1e-3",
+            4_096,
+        ),
     ),
-    "halfcheetah": MUJOCO,
-    "hopper": MUJOCO,
+    "halfcheetah": (
+        *MUJOCO,
+        *short("--environments 8 --epochs 5 --discount 0.98 --trace 0.92", 10_240),
+    ),
+    "hopper": (
+        *MUJOCO,
+        *short("--environments 8 --epochs 5 --discount 0.999 --trace 0.99", 10_240),
+    ),
 }
+"""Discounts and traces of short rollouts, and on Pendulum the rates, are those of `known`."""
 LEARNERS: Mapping[str, tuple[Learner, ...]] = {
     task: (
         *(ours(task, *of_ours) for of_ours in OURS[task]),

@@ -186,4 +186,13 @@ def test_the_section_takes_its_place_on_the_page():
     page.renew(section)
     written = page.FILE.read_text()
     assert written.count("## Wall time to a given return\n") == 1
-    assert "old" not in written and "## B\n\nb\n" in written
+    assert "old" not in written and written.endswith("\n\n## B\n\nb\n")
+    page.renew("## C\n\nnew")
+    assert page.FILE.read_text().startswith(written.rstrip() + "\n\n## C\n\nWritten by itself")
+
+
+def test_no_two_learners_of_a_task_have_one_name(monkeypatch):
+    monkeypatch.undo()
+    for learners in reach_runs.LEARNERS.values():
+        names = [x.name for x in learners]
+        assert len(set(names)) == len(names)
