@@ -110,19 +110,16 @@ def report(quick: bool) -> str:
         "",
         f"A turn steps {configure().environments} environments that cost next to nothing and makes "
         "one update of MAPG (M = 10, batch 64, observations of 8, replay of 100,000); one of these "
-        f"numbers changes at a time. Medians of {1 if quick else ROUNDS}. The exponent is the "
-        "slope of the logarithms over the last two values, and over all of them: near 0 a turn "
-        "costs its instructions, whatever they work on; it bends from where on all cost more than "
-        f"{BEND} times the least.",
+        f"numbers changes at a time. Medians of {1 if quick else ROUNDS} rounds over all of them. "
+        "The exponent is the slope of the logarithms over the last two values, and over all of "
+        "them: near 0 a turn costs its instructions, whatever they work on; it bends from where on "
+        f"all cost more than {BEND} times the least.",
         "",
         "| | | turns/s | steps/s | µs a turn | exponent, end | all | memory, MB | exponent, end "
         "| all |",
         f"{'|---' * 10}|",
     ]
-    measured = {
-        title: {count: measure(runs(count), quick) for count in (values[:2] if quick else values)}
-        for title, values, runs in AXES
-    }
+    measured = _measured(quick)
     for title, costs in measured.items():
         lines += _rows(title, list(costs), list(costs.values()))
     lines.append("")
@@ -134,6 +131,24 @@ def report(quick: bool) -> str:
         PICTURE.write_bytes(document.picture_bytes(_draw(measured), "png"))
         lines += ["", f"![time and memory of a turn]({PICTURE.name})"]
     return "\n".join(lines)
+
+
+def _measured(quick: bool) -> dict[str, dict[int, Cost]]:
+    """By axis, of each of its values."""
+    programs = {
+        (title, count): Program(runs(count))
+        for title, values, runs in AXES
+        for count in (values[:2] if quick else values)
+    }
+    times = {name: [] for name in programs}
+    for _ in range(1 if quick else ROUNDS):  # in turn: a machine that slows down slows all of them
+        for name, program in programs.items():
+            times[name].append(program.seconds(0.0 if quick else SECONDS))
+    measured: dict[str, dict[int, Cost]] = {title: {} for title, _, _ in AXES}
+    for (title, count), program in programs.items():
+        seconds = statistics.median(times[title, count])
+        measured[title][count] = Cost(program.steps, seconds, program.bytes)
+    return measured
 
 
 def _bend(counts: Sequence[int], costs: Sequence[float]) -> str:
@@ -188,25 +203,28 @@ def _slopes(counts: Sequence[int], costs: Sequence[float]) -> str:
     return f"{np.diff(y)[-1] / np.diff(x)[-1]:.2f} | {np.polyfit(x, y, 1)[0]:.2f}"
 
 
-def measure(configs: Sequence[Config], quick: bool) -> Cost:
-    """Time and memory of a turn of these runs, once they learn."""
-    program = Lockstep(configs)
-    state = program.init()
-    state = state.replace(replay=_full(state.replay, cast(ReplayConfig, configs[0]).replay_size))
-    run = program.jitted_run.lower(state, 0).compile()
-    memory = _bytes(run)
-    turns = 64
-    state, _ = _timed(run, state, turns)  # fills what learning waits for
-    times = []
-    for _ in range(1 if quick else ROUNDS):
+class Program:
+    """Runs that learn, and what a turn of them takes."""
+
+    def __init__(self, configs: Sequence[Config]):
+        program = Lockstep(configs)
+        state = program.init()
+        slots = cast(ReplayConfig, configs[0]).replay_size
+        state = state.replace(replay=_full(state.replay, slots))
+        self._run = program.jitted_run.lower(state, 0).compile()
+        self._state, self._turns = self._run(state, 64), 64  # fills what learning waits for
+        self.bytes = _bytes(self._run)
+        self.steps = sum(config.environments for config in configs)
+
+    def seconds(self, at_least: float) -> float:
+        """Of a turn, measured over so many seconds."""
         while True:
-            state, seconds = _timed(run, state, turns)
-            if quick or seconds > SECONDS:
-                break
-            turns = int(turns * min(16.0, 1.2 * SECONDS / max(seconds, 1e-4))) + 1
-        times.append(seconds / turns)
-    steps = sum(config.environments for config in configs)
-    return Cost(steps, statistics.median(times), memory)
+            begun = time.perf_counter()
+            self._state = jax.block_until_ready(self._run(self._state, self._turns))
+            seconds = time.perf_counter() - begun
+            if seconds >= at_least:
+                return seconds / self._turns
+            self._turns = int(self._turns * min(16.0, 1.2 * at_least / max(seconds, 1e-4))) + 1
 
 
 def _full(empty: ReplayState, slots: int) -> ReplayState:
@@ -226,9 +244,3 @@ def _bytes(run: Any) -> int:
     """Of its arguments, and of what it needs beside them, as its compiler says."""
     analysis = run.memory_analysis()
     return analysis.argument_size_in_bytes + analysis.temp_size_in_bytes
-
-
-def _timed(run, state, turns: int):
-    begun = time.perf_counter()
-    state = jax.block_until_ready(run(state, turns))
-    return state, time.perf_counter() - begun

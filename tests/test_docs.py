@@ -155,6 +155,18 @@ def test_the_speeds_of_the_readme_are_those_of_the_page():
     assert f"by round {by_round}" in paragraph
 
 
+def test_who_is_first_to_a_return_is_as_the_page_has_it():
+    page = (PAGE.parent.parent / "benchmarks" / "results.md").read_text()
+    section = page.partition("## Wall time to a given return")[2].partition("\n## ")[0]
+    places = {}
+    for of_task in section.split("\n### ")[1:]:
+        names = re.findall(r"^\| ([\w-]+), (\w+)[ ,]", of_task, re.M)
+        places[of_task.partition(",")[0]] = names.index(("mapg-jax", "PPO")) + 1
+    assert "rejax's algorithms on Pendulum, before the first two's on HalfCheetah" in README
+    assert "and after Stable-Baselines3's on Hopper" in README
+    assert places == {"pendulum": 1, "halfcheetah": 1, "hopper": 2}
+
+
 def test_what_the_readme_finds_is_what_the_results_say():
     """The cost of heads, and the p by which C5a falls."""
     results = (PAGE.parent.parent / "results/README.md").read_text()
