@@ -64,7 +64,7 @@ bench: .venv/ready  ## speed, against peers where they are installed
 	$(BIN)/python -m benchmarks
 
 PAGES := README.md CHANGELOG.md CONTRIBUTING.md CODE_OF_CONDUCT.md SECURITY.md LICENSE CITATION.cff docs results \
-	experiments/protocol.md benchmarks/results.md benchmarks/notes.md $(wildcard benchmarks/*.png) zoo
+	experiments/protocol.md benchmarks/results.md benchmarks/notes.md $(wildcard benchmarks/*.png benchmarks/*.csv) zoo
 
 docs: .venv-docs/ready  ## the site, in .site/html, which opens without a network
 	rm -rf .site && mkdir -p .site/source

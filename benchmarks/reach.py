@@ -161,7 +161,7 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # ends its runs too
     if not arguments.no_train:
         if not PEERS.exists():
-            sys.exit("`make bench-peers` installs the peers")
+            parser.error("the peers are not installed; `make bench-peers` does")
         reach_runs.train(arguments.only or list(reach_runs.TASKS), arguments.workers)
     page.renew(report())
 
