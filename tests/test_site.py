@@ -2,6 +2,8 @@
 
 import importlib.util
 import pathlib
+import re
+import subprocess
 import time
 
 import pytest
@@ -11,6 +13,26 @@ SITE = ROOT / ".site" / "html"
 spec = importlib.util.spec_from_file_location("whole", ROOT / "docs" / "whole.py")
 whole = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(whole)
+
+
+def test_what_a_page_links_to_is_carried_into_the_site():
+    """Without the minute that it takes to build it."""
+    said = subprocess.run(
+        ["make", "--dry-run", "docs"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
+    (copied,) = re.findall(r"^cp -r --parents (.*) \.site/source$", said, re.M)
+    carried = [ROOT / name for name in copied.split()]
+    pages = [path for path in carried if path.suffix == ".md"]
+    pages += [page for path in carried if path.is_dir() for page in path.rglob("*.md")]
+    linked = {
+        (page.parent / address).resolve()
+        for page in pages
+        for address in re.findall(r"\]\(([^()#:\s]+)(?:#[^()]*)?\)", page.read_text())
+    }
+    files = [path for path in linked if path.is_file()]
+    assert len(files) > 20
+    left = [path for path in files if not any(path.is_relative_to(x) for x in carried)]
+    assert not left
 
 
 def test_what_is_missing_is_named(tmp_path):
