@@ -11,6 +11,7 @@ import numpy as np
 from benchmarks import commands
 
 PEERS = commands.ROOT / ".venv-peers/bin/python"
+TITLE = "## Learning: 64-64, batch 64, no layer norm, one update a step, one thread"
 SETTINGS = "--no-layer-norm --updates-per-step 1"
 
 
@@ -79,14 +80,14 @@ def pendulum(quick: bool) -> Mapping[str, Learner]:
 def report(rounds: int, quick: bool) -> str:
     """The section of the page."""
     if not PEERS.exists():
-        return "## Learning\n\nnot measured: `make bench-peers` installs the peers"
+        return f"{TITLE}\n\nnot measured: `make bench-peers` installs the peers"
     learners = {"HalfCheetah-v5": halfcheetah(quick), "Pendulum": pendulum(quick)}
     found = {(task, name): [] for task, of_task in learners.items() for name in of_task}
     for _ in range(rounds):
         for task, name in found:
             found[task, name].append(learners[task][name]())
     lines = [
-        "## Learning: 64-64, batch 64, no layer norm, one update a step, one thread",
+        TITLE,
         "",
         "Ours steps 16 environments side by side, the others one. rejax's TD3 has two critics, "
         "whose actor is updated at every step. The last column is the floor of an update: its "

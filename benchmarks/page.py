@@ -14,5 +14,5 @@ def renew(section: str) -> None:
     parts = FILE.read_text().rstrip().split("\n\n## ")
     titles = [part.partition("\n")[0] for part in parts]
     place = titles.index(title) if title in titles else len(parts)
-    parts[place : place + 1] = [f"{title}\n\n{today}{rest}"]
+    parts[place : place + 1] = [f"{title}\n\n{today}\n{rest}"]
     FILE.write_text("\n\n## ".join(parts) + "\n")

@@ -10,6 +10,7 @@ import numpy as np
 
 from benchmarks import commands
 
+TITLE = "## Sweeps: HalfCheetah, M = 10, two worker processes on two cores against one on one"
 STEPS = 60_000
 SETTINGS = ["--env", "halfcheetah", "--evaluation-episodes", "1", "--final-episodes", "1"]
 
@@ -18,13 +19,13 @@ def report(rounds: int, quick: bool) -> str:
     """The section of the page."""
     steps = 2_000 if quick else STEPS
     if len(os.sched_getaffinity(0)) < 2:
-        return "## Sweeps\n\nnot measured: one core"
+        return f"{TITLE}\n\nnot measured: one core"
     ratios = []
     for _ in range(rounds):
         alone = np.median([_rate(1, steps) for _ in range(2)])
         ratios.append(_rate(2, steps) / alone)
     return (
-        "## Sweeps: HalfCheetah, M = 10, two worker processes on two cores against one on one\n\n"
+        f"{TITLE}\n\n"
         f"{np.median(ratios):.2f} times the environment steps a second (wanted: 1.7); "
         f"{min(ratios):.2f} to {max(ratios):.2f} over {len(ratios)} interleaved rounds, rates of "
         "training once compiled"

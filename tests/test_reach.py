@@ -189,6 +189,7 @@ def test_the_section_takes_its_place_on_the_page():
     assert "old" not in written and written.endswith("\n\n## B\n\nb\n")
     page.renew("## C\n\nnew")
     assert page.FILE.read_text().startswith(written.rstrip() + "\n\n## C\n\nWritten by itself")
+    assert page.FILE.read_text().endswith(".\n\nnew\n")  # a table needs a line of its own before
 
 
 def test_no_two_learners_of_a_task_have_one_name(monkeypatch):
